@@ -1,0 +1,1 @@
+"""Guides, fitting, forecasting and checkpoints."""

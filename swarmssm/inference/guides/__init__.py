@@ -1,0 +1,1 @@
+"""Guides: variational posteriors over the latent states of a model."""
