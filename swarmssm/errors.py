@@ -21,6 +21,6 @@ class InputError(SwarmssmError, ValueError):
 
 
 class WorkError(SwarmssmError, RuntimeError):
-    """The call was right, but the work failed (a full disk, a loss that exploded). Exit status 1."""
+    """The call was right, but the work failed: a full disk, a loss that exploded. Exit status 1."""
 
     exit_status = 1

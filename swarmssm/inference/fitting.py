@@ -1,0 +1,245 @@
+"""Fit a model and a guide to tracks."""
+
+import hashlib
+import json
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import torch
+import xarray as xr
+
+from swarmssm import metrics
+from swarmssm.errors import InputError
+from swarmssm.inference.checkpoints import Checkpoint, read_checkpoint
+from swarmssm.inference.data import Prepared, preparation_for, prepare, windows_of
+from swarmssm.inference.fitted import Fit
+from swarmssm.inference.guides import SwarmGuide
+from swarmssm.inference.run_folder import (
+    CHECKPOINT,
+    Run,
+    build_modules,
+    check_run_output,
+    finish_run,
+    provenance_now,
+    replace_folder,
+    write_config,
+)
+from swarmssm.inference.settings import settings_from
+from swarmssm.inference.training import Progress, TrainingData, quiet_pyro, train
+from swarmssm.models import SwarmModel
+from swarmssm.splits import split, take
+from swarmssm.tracks import validate_tracks
+
+__all__ = ["fit"]
+
+#: Settings that may change between an interrupted fit and its continuation.
+FREE_ON_RESUME = {"device", "checkpoint_every"}
+
+
+def fit(
+    model: str = "graph-vae",
+    guide: str = "encoder",
+    tracks: xr.Dataset | None = None,
+    *,
+    out: str | Path | None = None,
+    resume: bool = False,
+    overwrite: bool = False,
+    callbacks: Sequence[Callable[[Progress], None]] = (),
+    **settings: Any,
+) -> Fit:
+    """Fit a model to tracks by stochastic variational inference.
+
+    The tracks are split first; velocities, scaling and graph are then decided on the training
+    part alone. The ELBO of mini-batches of windows is maximised with Adam, and the weights with
+    the best ELBO on the validation part are kept.
+
+    Parameters
+    ----------
+    model, guide
+        Registered names (:data:`swarmssm.models.MODELS`, :data:`swarmssm.inference.GUIDES`) or
+        ``module:attribute``.
+    tracks
+        Tracks.
+    out
+        Run folder to write. With it, checkpoints are written during training, and a fit that was
+        interrupted can be continued.
+    resume
+        Go on from the checkpoint in ``out`` if there is one. On one thread the weights are bit
+        for bit those of an uninterrupted fit.
+    overwrite
+        Replace a run folder that is there; it stays as it was until the new one is finished.
+    callbacks
+        Called with a :class:`swarmssm.inference.training.Progress` after each epoch.
+    **settings
+        Any of :class:`swarmssm.inference.settings.FitSettings`: ``steps``, ``epochs``, ``window``,
+        ``batch_windows``, ``lr``, ``seed``, ``device``, ``graph`` and so on.
+
+    Returns
+    -------
+    The fit. Its draws, and global random states, do not depend on what ran before.
+
+    Raises
+    ------
+    InputError
+        If tracks, a setting or ``out`` is wrong.
+    WorkError
+        If the loss is NaN or explodes, or nothing can be written.
+    """
+    if tracks is None:
+        raise InputError("tracks: none are given.")
+    tracks = validate_tracks(tracks)
+    wanted = settings_from({"model": model, "guide": guide, **settings})
+    device = _device(wanted.device)
+    folder = None if out is None else Path(out)
+    if folder is not None and not resume:
+        check_run_output(folder, overwrite=overwrite)
+    parts = split(tracks, wanted.split_by, wanted.fractions, wanted.gap)
+    preparation, training = preparation_for(
+        take(tracks, parts.train),
+        scaler=wanted.scaler,
+        graph=wanted.graph,
+        velocity=wanted.velocity,
+    )
+    prepared = prepare(training, preparation)
+    windows = windows_of(prepared, wanted.window)
+    validation = None
+    if parts.validation:
+        watched = prepare(take(tracks, parts.validation), preparation)
+        validation = windows_of(watched, wanted.window)
+    with torch.random.fork_rng():
+        torch.manual_seed(wanted.seed)
+        modules = build_modules(wanted, len(preparation.scaler.offset))
+        for module in modules:
+            module.to(device)
+        run = Run(*modules, wanted, preparation, parts, pd.DataFrame())
+        digest = _digest(run, tracks)
+        working, start = _working_folder(folder, resume, overwrite, digest, run)
+        data = TrainingData(
+            windows.to(device),
+            None if validation is None else validation.to(device),
+            _TrainingScores(prepared, *modules),
+        )
+        with quiet_pyro():
+            history = train(
+                *modules,
+                data,
+                wanted,
+                start=start,
+                checkpoint_folder=None if working is None else working / CHECKPOINT,
+                digest=digest,
+                callbacks=callbacks,
+            )
+    for module in modules:
+        module.to("cpu").eval()
+    facts = {
+        "file": str(tracks.attrs.get("path", "")),
+        "source_file": str(tracks.attrs.get("source_file", "")),
+        "sha256": tracks_digest(tracks),
+    }
+    done = replace(run, history=pd.DataFrame(history), provenance=provenance_now(facts))
+    if folder is not None and working is not None:
+        finish_run(done, working)
+        shutil.rmtree(working / CHECKPOINT, ignore_errors=True)
+        if working != folder:
+            replace_folder(working, folder)
+    return Fit(**vars(done))
+
+
+def tracks_digest(tracks: xr.Dataset) -> str:
+    """Return a SHA-256 of the observations: positions, velocities, adjacency and labels."""
+    digest = hashlib.sha256()
+    for name in ("position", "velocity", "adjacency"):
+        if name in tracks:
+            values = np.ascontiguousarray(tracks[name].to_numpy())
+            digest.update(f"{name}{values.shape}{values.dtype}".encode())
+            digest.update(values.tobytes())
+    digest.update(json.dumps([str(v) for v in tracks["individual"].values]).encode())
+    digest.update(np.float64(tracks.attrs["fps"]).tobytes())
+    return digest.hexdigest()
+
+
+def _digest(run: Run, tracks: xr.Dataset) -> str:
+    """Return what must be equal for a checkpoint to be continued: settings and data."""
+    settings = run.settings.model_dump(mode="json", exclude=FREE_ON_RESUME)
+    return json.dumps({"settings": settings, "data": tracks_digest(tracks)}, sort_keys=True)
+
+
+def _working_folder(
+    folder: Path | None, resume: bool, overwrite: bool, digest: str, run: Run
+) -> tuple[Path | None, Checkpoint | None]:
+    """Return the folder to work in, and the checkpoint to start from.
+
+    A folder that is to be overwritten stays as it is: its successor grows beside it.
+    """
+    if folder is None:
+        if resume:
+            raise InputError("resume: there is nothing to resume without out.")
+        return None, None
+    beside = folder.with_name(f".{folder.name}.new")
+    working = beside if overwrite and folder.exists() else folder
+    if not resume:
+        shutil.rmtree(working, ignore_errors=True)
+    elif (folder / "provenance.json").exists() and working == folder:
+        raise InputError(f"{folder}: this fit is finished; there is nothing to resume.")
+    start = read_checkpoint(working / CHECKPOINT)
+    if start is not None and start.state.get("digest") != digest:
+        raise InputError(
+            f"{working}: its checkpoint belongs to a fit with {_difference(start, digest)}. Resume "
+            "with the same file and settings, or choose another folder."
+        )
+    if not working.exists() and not working.parent.is_dir():
+        raise InputError(f"{folder}: the folder {folder.parent} does not exist. Make it first.")
+    (working / CHECKPOINT).mkdir(parents=True, exist_ok=True)
+    write_config(run, working)
+    return working, start
+
+
+def _difference(start: Checkpoint, digest: str) -> str:
+    """Say in what a checkpoint's fit differs from the one asked for."""
+    try:
+        old, new = json.loads(start.state["digest"]), json.loads(digest)
+        names = [k for k, v in new["settings"].items() if old["settings"].get(k) != v]
+    except (KeyError, TypeError, ValueError):
+        return "other settings"
+    return f"other settings ({', '.join(names)})" if names else "other tracks"
+
+
+def _device(name: str) -> torch.device:
+    """Return the device, ``"auto"`` being the first accelerator."""
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        device = torch.device(name)
+        torch.empty(0, device=device)
+    except (RuntimeError, AssertionError) as error:
+        raise InputError(f"device: {name!r} is not to be had here; choose cpu.") from error
+    return device
+
+
+class _TrainingScores:
+    """One-step errors on the training part at each row of the history (figs 4.9, 4.10)."""
+
+    def __init__(self, prepared: Prepared, model: SwarmModel, guide: SwarmGuide) -> None:
+        self.prepared, self.model, self.guide = prepared, model, guide
+        self.truth = prepared.observations.masked_fill(~prepared.mask.unsqueeze(-1), torch.nan)
+
+    def __call__(self) -> dict[str, float]:
+        """Return MSE (4.2) and MAE (4.3) of scaled states, predicted at the posterior mean."""
+        device = next(self.model.parameters()).device
+        frames = self.prepared
+        with torch.no_grad():
+            posterior = self.guide.encode(
+                frames.observations[:, :-1].to(device),
+                frames.adjacency[:, :-1].to(device, torch.float32),
+            )
+            predicted = self.model.decode(posterior.mean).states.mean.cpu()
+        predicted = predicted.masked_fill(~frames.mask[:, :-1].unsqueeze(-1), torch.nan)
+        first = torch.full_like(self.truth[:, :1], torch.nan)
+        whole = torch.cat([first, predicted], dim=1).numpy()
+        truth = self.truth.numpy()
+        return {"mse": metrics.mse(truth, whole), "mae": metrics.mae(truth, whole)}

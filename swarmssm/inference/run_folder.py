@@ -1,0 +1,320 @@
+"""Run folders: a fit on disk, in files that cannot run.
+
+=====================  ===========================================================
+``config.json``        resolved settings, preparation and split
+``weights.safetensors``  weights of model and guide
+``history.csv``        the course of training
+``checkpoint/``        where training stood, while it runs
+``provenance.json``    versions, data, and a digest of each of the files above
+=====================  ===========================================================
+
+``provenance.json`` is written last: a folder without it holds a fit that is not finished.
+"""
+
+import json
+import platform
+import shutil
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy
+import pandas as pd
+import pyro
+import torch
+import xarray
+
+import swarmssm
+from swarmssm.errors import InputError, WorkError
+from swarmssm.files import file_digest, write_beside
+from swarmssm.graphs import GraphRule
+from swarmssm.inference.checkpoints import read_tensors, write_tensors
+from swarmssm.inference.data import Preparation
+from swarmssm.inference.guides import GUIDES, SwarmGuide, find_guide
+from swarmssm.inference.settings import FitSettings, settings_from
+from swarmssm.models import MODELS, SwarmModel, find_model
+from swarmssm.scaling import Scaler
+from swarmssm.splits import Split
+
+__all__ = [
+    "CHECKPOINT",
+    "Run",
+    "build_modules",
+    "check_run_output",
+    "finish_run",
+    "load_run",
+    "provenance_now",
+    "replace_folder",
+    "save_run",
+    "write_config",
+]
+
+CONFIG, WEIGHTS, HISTORY = "config.json", "weights.safetensors", "history.csv"
+PROVENANCE, CHECKPOINT = "provenance.json", "checkpoint"
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a run folder holds.
+
+    Attributes
+    ----------
+    model, guide
+        Fitted modules.
+    settings
+        What they were fitted with.
+    preparation
+        Scaler, velocities and graph, as decided on the training part.
+    split
+        Which frames of the tracks trained, validated and test.
+    history
+        A row for about every hundredth part of the training run, see
+        :func:`swarmssm.inference.training.train`.
+    provenance
+        Versions, time, and name and digest of the tracks.
+    """
+
+    model: SwarmModel
+    guide: SwarmGuide
+    settings: FitSettings
+    preparation: Preparation
+    split: Split
+    history: pd.DataFrame
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+
+def build_modules(settings: FitSettings, state_dim: int) -> tuple[SwarmModel, SwarmGuide]:
+    """Build model and guide as the settings name them.
+
+    Raises
+    ------
+    InputError
+        If a name is unknown or an option does not fit its constructor.
+    """
+    # Parameters that stay in their module, instead of Pyro's global store, have to be so from
+    # the module's construction on.
+    with pyro.settings.context(module_local_params=True):
+        builder: Any = find_model(settings.model)
+        model = _build(builder, "model", settings.model, state_dim, settings.model_options)
+        builder = find_guide(settings.guide)
+        builder = getattr(builder, "for_model", builder)
+        guide = _build(builder, "guide", settings.guide, model, settings.guide_options)
+    return model, guide
+
+
+def _build(builder: Any, what: str, name: str, first: Any, options: Mapping[str, Any]) -> Any:
+    """Call a constructor, and say in one sentence if its options are wrong."""
+    try:
+        return builder(first, **options)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise InputError(
+            f"{what}: {name} cannot be built with {dict(options)}: {error}."
+        ) from error
+
+
+def provenance_now(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Return versions, time and the given facts of the data."""
+    versions = {
+        module.__name__: module.__version__ for module in (swarmssm, torch, pyro, numpy, xarray)
+    }
+    return {
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "versions": {"python": platform.python_version(), **versions},
+        "platform": platform.platform(),
+        "data": dict(data),
+    }
+
+
+def save_run(run: Run, folder: Path, *, overwrite: bool = False) -> None:
+    """Write a run folder beside and rename it.
+
+    Raises
+    ------
+    InputError
+        If the folder exists and ``overwrite`` is false, or it is something else than a run.
+    WorkError
+        If it cannot be written; what was there before is then unchanged.
+    """
+    check_run_output(folder, overwrite=overwrite)
+    try:
+        temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+    except OSError as error:
+        raise WorkError(f"{folder}: cannot be written ({error.strerror}).") from error
+    try:
+        temporary.chmod(0o755)
+        finish_run(run, temporary)
+        replace_folder(temporary, folder)
+    except OSError as error:
+        raise WorkError(f"{folder}: could not be written ({error.strerror or error}).") from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def check_run_output(folder: Path, *, overwrite: bool) -> None:
+    """Refuse a run folder that must not be written."""
+    if not folder.parent.is_dir():
+        raise InputError(f"{folder}: the folder {folder.parent} does not exist. Make it first.")
+    if not folder.exists():
+        return
+    if not overwrite:
+        raise InputError(
+            f"{folder}: exists already and was left as it is. Choose another name, add --overwrite, "
+            "or --resume to go on with an interrupted fit."
+        )
+    is_run = folder.is_dir() and ((folder / CONFIG).is_file() or not any(folder.iterdir()))
+    if not is_run:
+        raise InputError(
+            f"{folder}: it is not a run folder, and is not overwritten. Choose another name."
+        )
+
+
+def replace_folder(source: Path, target: Path) -> None:
+    """Put a finished folder in the place of another, which is removed only afterwards."""
+    old = target.with_name(f".{target.name}.old")
+    shutil.rmtree(old, ignore_errors=True)
+    if target.exists():
+        target.rename(old)
+    source.rename(target)
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def write_config(run: Run, folder: Path) -> None:
+    """Write what decides the fit; it is there before training starts."""
+    preparation = run.preparation
+    config = {
+        "settings": run.settings.model_dump(mode="json"),
+        "preparation": {
+            "scaler": {
+                "kind": preparation.scaler.kind,
+                "offset": list(preparation.scaler.offset),
+                "scale": list(preparation.scaler.scale),
+            },
+            "velocity": preparation.velocity,
+            "rule": None if preparation.rule is None else preparation.rule.to_dict(),
+            "own_graph": preparation.own_graph,
+        },
+        "split": run.split.to_dict(),
+    }
+    _write_json(folder / CONFIG, config)
+
+
+def finish_run(run: Run, folder: Path) -> None:
+    """Write all files of a finished fit into an existing folder, provenance last."""
+    write_config(run, folder)
+    weights = {f"model.{name}": value for name, value in run.model.state_dict().items()}
+    weights |= {f"guide.{name}": value for name, value in run.guide.state_dict().items()}
+    write_tensors(folder / WEIGHTS, weights)
+    with write_beside(folder / HISTORY, overwrite=True) as temporary:
+        run.history.to_csv(temporary, index=False)
+    digests = {name: file_digest(folder / name) for name in (CONFIG, WEIGHTS, HISTORY)}
+    _write_json(folder / PROVENANCE, {**run.provenance, "files": digests})
+
+
+def load_run(folder: Path, *, trust_code: bool = False) -> Run:
+    """Read a run folder.
+
+    Parameters
+    ----------
+    folder
+        As :func:`save_run` and ``swarmssm fit`` write it.
+    trust_code
+        Whether a model or guide named as ``module:attribute`` may be imported, which runs that
+        module's code. The ready-made ones need no trust.
+
+    Raises
+    ------
+    InputError
+        If a file is missing, damaged or was altered, the fit is not finished, or code would have
+        to be trusted.
+    """
+    if not folder.is_dir():
+        raise InputError(f"{folder}: there is no such run folder.")
+    if not (folder / PROVENANCE).is_file():
+        if (folder / CHECKPOINT).is_dir():
+            raise InputError(
+                f"{folder}: this fit is not finished. Go on with swarmssm fit ... --resume."
+            )
+        raise InputError(f"{folder}: it is not a run folder; {PROVENANCE} is missing.")
+    provenance = read_json(folder / PROVENANCE)
+    digests = provenance.get("files")
+    for name in (CONFIG, WEIGHTS, HISTORY):
+        path = folder / name
+        if not path.is_file():
+            raise InputError(
+                f"{path}: this file of the run is missing. Fit again, or copy it back."
+            )
+        if not isinstance(digests, dict) or digests.get(name) != file_digest(path):
+            raise InputError(
+                f"{path}: it is not the file that the fit wrote ({PROVENANCE} tells another "
+                "digest). Fit again, or copy it back."
+            )
+    config = read_json(folder / CONFIG)
+    settings = settings_from(_table(config, "settings", folder), str(folder / CONFIG))
+    for name, ready in ((settings.model, MODELS), (settings.guide, GUIDES)):
+        if name not in ready and not trust_code:
+            raise InputError(
+                f"{folder}: the run names the code {name}, which loading it would execute. If you "
+                "trust that code, say so (--trust-code)."
+            )
+    try:
+        preparation = _preparation(_table(config, "preparation", folder))
+        split = Split.from_dict(_table(config, "split", folder))
+        history = pd.read_csv(folder / HISTORY)
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            f"{folder}: {CONFIG} or {HISTORY} cannot be understood ({error})."
+        ) from error
+    model, guide = build_modules(settings, len(preparation.scaler.offset))
+    weights, _ = read_tensors(folder / WEIGHTS)
+    for part, module in (("model", model), ("guide", guide)):
+        start = f"{part}."
+        own = {k.removeprefix(start): v for k, v in weights.items() if k.startswith(start)}
+        try:
+            module.load_state_dict(own)
+        except RuntimeError as error:
+            raise InputError(
+                f"{folder / WEIGHTS}: the weights do not fit the {part} {getattr(settings, part)}."
+            ) from error
+        module.eval()
+    return Run(model, guide, settings, preparation, split, history, provenance)
+
+
+def _preparation(values: dict[str, Any]) -> Preparation:
+    """Undo what :func:`write_config` did to a preparation."""
+    scaler = values["scaler"]
+    numbers = (tuple(float(x) for x in scaler[name]) for name in ("offset", "scale"))
+    rule = values["rule"]
+    return Preparation(
+        Scaler(str(scaler["kind"]), *numbers),
+        str(values["velocity"]),
+        None if rule is None else GraphRule.from_dict(rule),
+        bool(values["own_graph"]),
+    )
+
+
+def _table(config: dict[str, Any], name: str, folder: Path) -> dict[str, Any]:
+    """Return a table of the configuration."""
+    value = config.get(name)
+    if not isinstance(value, dict):
+        raise InputError(f"{folder / CONFIG}: the table {name} is missing.")
+    return value
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Read a JSON object."""
+    try:
+        value = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{path}: it is not readable JSON ({error}).") from error
+    if not isinstance(value, dict):
+        raise InputError(f"{path}: it holds no JSON object.")
+    return value
+
+
+def _write_json(path: Path, value: Any) -> None:
+    """Write JSON as a whole."""
+    with write_beside(path, overwrite=True) as temporary:
+        temporary.write_text(json.dumps(value, indent=2) + "\n", encoding="utf-8")

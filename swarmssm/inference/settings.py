@@ -1,0 +1,120 @@
+"""Everything that decides a fit, in one validated and storable object."""
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import pydantic
+
+from swarmssm.errors import InputError
+from swarmssm.graphs import GraphRule
+
+__all__ = ["FitSettings", "settings_from"]
+
+
+class FitSettings(pydantic.BaseModel):
+    """Settings of :func:`swarmssm.inference.fit`, as stored in a run folder.
+
+    Attributes
+    ----------
+    model, guide
+        Registered name or ``module:attribute``.
+    model_options, guide_options
+        Named arguments of their constructors.
+    epochs
+        Passes over all training windows; absent, those of the model (300 for the thesis's).
+    steps
+        Steps of the optimiser; given, it takes the place of ``epochs``.
+    window
+        Frames in a window; absent, whole trials. Consecutive windows share one frame, so that
+        each step of the recording is in one window.
+    batch_windows
+        Windows in a mini-batch; absent, all of them.
+    lr
+        Learning rate of Adam.
+    schedule
+        ``"cosine"``: falls to zero at the last step; or ``"constant"``.
+    clip
+        Largest norm of the gradient of the loss per observed coordinate; absent, unbounded.
+    seed
+        Of initial weights, mini-batches and draws.
+    device
+        ``"cpu"``, ``"cuda"``, or ``"auto"``.
+    scaler
+        See :func:`swarmssm.scaling.fit_scaler`.
+    graph
+        ``"auto"``: that of the tracks, else :func:`swarmssm.graphs.default_rule`; ``"data"``: that
+        of the tracks; else a rule as :meth:`swarmssm.graphs.GraphRule.parse` reads it, which
+        replaces the tracks' own.
+    velocity
+        ``"auto"``: that of the tracks, else differences; or ``"difference"``, ``"kalman"``, see
+        :func:`swarmssm.kinematics.add_velocity`.
+    split_by, fractions, gap
+        See :func:`swarmssm.splits.split`.
+    validate_every
+        Epochs between two rows of the history; absent, such that there are about a hundred.
+    patience
+        Rows of the history without a better validation loss after which training stops; absent,
+        it goes on to the end. Either way the weights with the best validation loss are kept.
+    checkpoint_every
+        Steps between two checkpoints, rounded up to whole epochs.
+    """
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True, protected_namespaces=())
+
+    model: str = "graph-vae"
+    model_options: dict[str, Any] = {}
+    guide: str = "encoder"
+    guide_options: dict[str, Any] = {}
+    epochs: pydantic.PositiveInt | None = None
+    steps: pydantic.PositiveInt | None = None
+    window: int | None = pydantic.Field(50, ge=2)
+    batch_windows: pydantic.PositiveInt | None = 4
+    lr: pydantic.PositiveFloat = pydantic.Field(0.005, allow_inf_nan=False)
+    schedule: Literal["constant", "cosine"] = "cosine"
+    clip: pydantic.PositiveFloat | None = 1.0
+    seed: int = pydantic.Field(0, ge=0, lt=2**63)
+    device: str = "cpu"
+    scaler: Literal["minmax", "isotropic", "none"] = "minmax"
+    graph: str = "auto"
+    velocity: Literal["auto", "difference", "kalman"] = "auto"
+    split_by: Literal["auto", "time", "trial"] = "auto"
+    fractions: tuple[float, float, float] = (0.7, 0.15, 0.15)
+    gap: pydantic.NonNegativeInt = 0
+    validate_every: pydantic.PositiveInt | None = None
+    patience: pydantic.PositiveInt | None = None
+    checkpoint_every: pydantic.PositiveInt = 200
+
+    @pydantic.field_validator("graph")
+    @classmethod
+    def _graph_can_be_read(cls, value: str) -> str:
+        if value not in ("auto", "data"):
+            GraphRule.parse(value)
+        return value
+
+
+def settings_from(values: Mapping[str, Any], where: str = "") -> FitSettings:
+    """Return settings, or say in one sentence which is wrong.
+
+    Parameters
+    ----------
+    values
+        Names and values of :class:`FitSettings`.
+    where
+        Put before the sentence: the file they come from.
+
+    Raises
+    ------
+    InputError
+        Naming the setting, its value and what is allowed.
+    """
+    prefix = f"{where}: " if where else ""
+    try:
+        return FitSettings(**values)
+    except pydantic.ValidationError as error:
+        first = error.errors()[0]
+        name = ".".join(str(part) for part in first["loc"])
+        reason = str(first["msg"]).removeprefix("Value error, ")
+        if first["type"] == "extra_forbidden":
+            reason = f"there is no such setting; choose among {', '.join(FitSettings.model_fields)}"
+        shown = "" if "graph:" in reason else f" (given: {first['input']!r})"
+        raise InputError(f"{prefix}{name}: {reason}{shown}.".replace("..", ".")) from error

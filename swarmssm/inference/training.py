@@ -1,0 +1,347 @@
+"""The training loop: mini-batches of windows, validation, checkpoints."""
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pyro
+import torch
+from pyro.infer import Trace_ELBO
+
+from swarmssm.errors import WorkError
+from swarmssm.inference.checkpoints import Checkpoint, write_checkpoint
+from swarmssm.inference.guides import SwarmGuide
+from swarmssm.inference.settings import FitSettings
+from swarmssm.models import SwarmBatch, SwarmModel
+
+__all__ = ["Progress", "TrainingData", "num_epochs", "quiet_pyro", "train"]
+
+#: A loss this many nats per observed coordinate above the first epoch's has exploded.
+EXPLODED = 1000.0
+HISTORY_ROWS = 100
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What a callback is told after each epoch.
+
+    Attributes
+    ----------
+    epoch, num_epochs, step
+        Counted from 1.
+    loss
+        Negative ELBO per observed coordinate, in nats, averaged over the epoch's mini-batches.
+    row
+        The epoch's row of the history, if it has one.
+    """
+
+    epoch: int
+    num_epochs: int
+    step: int
+    loss: float
+    row: dict[str, float] | None = None
+
+
+@dataclass(frozen=True)
+class TrainingData:
+    """Windows to learn from and windows to watch.
+
+    Attributes
+    ----------
+    train, validation
+        All windows of each part; there may be none to validate on.
+    scores
+        Called at each row of the history; returns named numbers to store beside the losses.
+    """
+
+    train: SwarmBatch
+    validation: SwarmBatch | None
+    scores: Callable[[], dict[str, float]] = field(default=dict)
+
+
+class _Elbo:
+    """Negative ELBO per observed coordinate, of a batch scaled to its whole population."""
+
+    def __init__(self, model: SwarmModel, guide: SwarmGuide) -> None:
+        self.module = Trace_ELBO()(model, guide)
+        self.parameters = list(self.module.parameters())
+
+    def __call__(self, batch: SwarmBatch, coordinates: int) -> torch.Tensor:
+        loss: torch.Tensor = self.module(batch) / coordinates
+        return loss
+
+
+def num_coordinates(windows: SwarmBatch) -> int:
+    """Return how many state coordinates of the windows are scored."""
+    both_ends = windows.mask[:, 1:] & windows.mask[:, :-1]
+    return int(both_ends.sum()) * windows.observations.shape[-1]
+
+
+def steps_per_epoch(settings: FitSettings, num_windows: int) -> int:
+    """Return the number of mini-batches in a pass over all windows."""
+    return math.ceil(num_windows / (settings.batch_windows or num_windows))
+
+
+def num_epochs(settings: FitSettings, model: SwarmModel, num_windows: int) -> int:
+    """Return how many passes over the windows the settings ask for."""
+    if settings.steps is not None:
+        return math.ceil(settings.steps / steps_per_epoch(settings, num_windows))
+    return settings.epochs or model.default_epochs
+
+
+def quiet_pyro() -> Any:
+    """Return a context in which Pyro keeps parameters in the modules and does not validate."""
+    return _QuietPyro()
+
+
+class _QuietPyro:
+    """Both of Pyro's global switches at once, put back on leaving."""
+
+    def __enter__(self) -> None:
+        self._local = pyro.settings.context(module_local_params=True)
+        self._validation = pyro.validation_enabled(False)
+        self._local.__enter__()
+        self._validation.__enter__()
+
+    def __exit__(self, *error: Any) -> None:
+        self._validation.__exit__(*error)
+        self._local.__exit__(*error)
+
+
+def train(
+    model: SwarmModel,
+    guide: SwarmGuide,
+    data: TrainingData,
+    settings: FitSettings,
+    *,
+    start: Checkpoint | None = None,
+    checkpoint_folder: Path | None = None,
+    digest: str = "",
+    callbacks: Sequence[Callable[[Progress], None]] = (),
+) -> list[dict[str, float]]:
+    """Maximise the ELBO with Adam; the model and the guide keep the best weights.
+
+    The global random state of torch is used, and left where training left it: the caller forks
+    it. A run continued from a checkpoint takes the very steps that an uninterrupted one takes.
+
+    Parameters
+    ----------
+    model, guide
+        Changed in place.
+    data
+        On the device of the model.
+    settings
+        How to train.
+    start
+        Where to go on.
+    checkpoint_folder
+        Where to write checkpoints; absent, none are written.
+    digest
+        Stored with each checkpoint, to tell whether it belongs to a fit.
+    callbacks
+        Called after each epoch.
+
+    Returns
+    -------
+    The history: a row for about every hundredth part of the run, with ``epoch``, ``step``,
+    ``loss``, ``validation_loss`` (NaN without validation part), ``gradient_norm``, ``seconds``,
+    and the scores of ``data``.
+
+    Raises
+    ------
+    WorkError
+        If the loss is NaN or explodes: says at which step and what to try. Checkpoints are only
+        written when all is well, so that the last good one is kept.
+    """
+    run = _Run(model, guide, data, settings, digest)
+    if start is not None:
+        run.restore(start)
+    last_saved = run.step
+    for epoch in range(run.epoch, run.num_epochs):
+        loss = run.one_epoch(epoch)
+        finished = epoch + 1 == run.num_epochs
+        row = run.record(loss) if finished or (epoch + 1) % run.record_every == 0 else None
+        for callback in callbacks:
+            callback(Progress(epoch + 1, run.num_epochs, run.step, loss, row))
+        stop = finished or run.out_of_patience()
+        due = run.step - last_saved >= settings.checkpoint_every
+        if checkpoint_folder is not None and (due or stop):
+            write_checkpoint(checkpoint_folder, run.checkpoint())
+            last_saved = run.step
+        if stop:
+            break
+    run.keep_best()
+    return run.history
+
+
+class _Run:
+    """The moving parts of one training run."""
+
+    def __init__(
+        self,
+        model: SwarmModel,
+        guide: SwarmGuide,
+        data: TrainingData,
+        settings: FitSettings,
+        digest: str,
+    ) -> None:
+        self.data, self.settings, self.digest = data, settings, digest
+        self.modules: dict[str, torch.nn.Module] = {"model": model, "guide": guide}
+        self.elbo = _Elbo(model, guide)
+        self.optimizer = torch.optim.Adam(self.elbo.parameters, lr=settings.lr)
+        self.steps_per_epoch = steps_per_epoch(settings, len(data.train))
+        self.num_epochs = num_epochs(settings, model, len(data.train))
+        self.record_every = settings.validate_every or math.ceil(self.num_epochs / HISTORY_ROWS)
+        self.coordinates = num_coordinates(data.train)
+        self.epoch = self.step = 0
+        self.seconds = 0.0
+        self.first_loss = math.nan
+        self.gradient_norm = math.nan
+        self.history: list[dict[str, float]] = []
+        self.best_loss = math.inf
+        self.best: dict[str, torch.Tensor] = {}
+        self.rows_since_best = 0
+
+    def one_epoch(self, epoch: int) -> float:
+        """Step through all mini-batches; return the mean loss."""
+        began = time.perf_counter()
+        self.epoch = epoch
+        losses = [self._step(batch) for batch in self._batches(epoch)]
+        # One transfer an epoch: reading each loss would stall an accelerator at every step.
+        values: list[float] = torch.stack(losses).tolist()
+        loss = float(sum(values)) / len(values)
+        if math.isnan(self.first_loss):
+            self.first_loss = values[0]
+        for offset, value in enumerate(values):
+            if not value < self.first_loss + EXPLODED:
+                self._give_up(self.step - len(values) + offset + 1, value)
+        self.epoch = epoch + 1
+        self.seconds += time.perf_counter() - began
+        return loss
+
+    def _batches(self, epoch: int) -> Iterator[SwarmBatch]:
+        """Yield the windows once, in an order that depends on seed and epoch only."""
+        windows = self.data.train
+        size = self.settings.batch_windows or len(windows)
+        if size >= len(windows):
+            yield windows
+            return
+        order = torch.Generator().manual_seed((self.settings.seed * 1_000_003 + epoch) % 2**63)
+        shuffled = torch.randperm(len(windows), generator=order)
+        for part in torch.split(shuffled.to(windows.mask.device), size):
+            yield windows.select(part)
+
+    def _step(self, batch: SwarmBatch) -> torch.Tensor:
+        """Take one step of Adam; return the loss, not read yet."""
+        if self.settings.schedule == "cosine":
+            done = self.step / (self.num_epochs * self.steps_per_epoch)
+            for group in self.optimizer.param_groups:
+                group["lr"] = self.settings.lr * 0.5 * (1.0 + math.cos(math.pi * done))
+        self.optimizer.zero_grad(set_to_none=True)
+        loss = self.elbo(batch, self.coordinates)
+        loss.backward()  # type: ignore[no-untyped-call]
+        clip = math.inf if self.settings.clip is None else self.settings.clip
+        self._norm = torch.nn.utils.clip_grad_norm_(self.elbo.parameters, clip)
+        self.optimizer.step()
+        self.step += 1
+        return loss.detach()
+
+    def _give_up(self, step: int, value: float) -> None:
+        """Say at which step the loss was lost, and what to try."""
+        what = "is not a number" if math.isnan(value) else f"exploded to {value:.3g}"
+        raise WorkError(
+            f"training: the loss {what} at step {step} (epoch {self.epoch + 1}). Try a smaller "
+            f"learning rate than {self.settings.lr:g}, a smaller clip, or another seed; the last "
+            "good checkpoint, if there is one, is kept."
+        )
+
+    def record(self, loss: float) -> dict[str, float]:
+        """Add a row to the history and remember the best weights."""
+        began = time.perf_counter()
+        row = {"epoch": float(self.epoch), "step": float(self.step), "loss": loss}
+        row["validation_loss"] = self._validate()
+        row["gradient_norm"] = float(self._norm)
+        row.update(self.data.scores())
+        self.seconds += time.perf_counter() - began
+        row["seconds"] = self.seconds
+        self.history.append(row)
+        if row["validation_loss"] < self.best_loss:
+            self.best_loss, self.rows_since_best = row["validation_loss"], 0
+            self.best = {name: value.clone() for name, value in self._weights().items()}
+        else:
+            self.rows_since_best += 1
+        return row
+
+    def _validate(self) -> float:
+        """Return the validation loss, with the same noise each time and no trace of it left."""
+        windows = self.data.validation
+        if windows is None:
+            return math.nan
+        with torch.random.fork_rng(), torch.no_grad():
+            torch.manual_seed(self.settings.seed)
+            return float(self.elbo(windows, num_coordinates(windows)))
+
+    def out_of_patience(self) -> bool:
+        """Return whether the validation loss has not fallen for too long."""
+        patience = self.settings.patience
+        return patience is not None and bool(self.best) and self.rows_since_best >= patience
+
+    def keep_best(self) -> None:
+        """Give the modules the weights with the best validation loss, if there were any."""
+        if self.best:
+            self._load_weights(self.best)
+
+    def _weights(self) -> dict[str, torch.Tensor]:
+        """Return the weights of model and guide by name."""
+        return {
+            f"{part}.{name}": value.detach()
+            for part, module in self.modules.items()
+            for name, value in module.state_dict().items()
+        }
+
+    def _load_weights(self, weights: dict[str, torch.Tensor]) -> None:
+        """Undo :meth:`_weights`."""
+        for part, module in self.modules.items():
+            start = f"{part}."
+            own = {k.removeprefix(start): v for k, v in weights.items() if k.startswith(start)}
+            module.load_state_dict(own)
+
+    def checkpoint(self) -> Checkpoint:
+        """Return everything that the next step depends on."""
+        tensors = {f"weights.{name}": value for name, value in self._weights().items()}
+        tensors |= {f"best.{name}": value for name, value in self.best.items()}
+        for index, fields in self.optimizer.state_dict()["state"].items():
+            tensors |= {f"optimizer.{index}.{name}": value for name, value in fields.items()}
+        tensors["rng"] = torch.get_rng_state()
+        state = {
+            "digest": self.digest,
+            "epoch": self.epoch,
+            "step": self.step,
+            "seconds": self.seconds,
+            "first_loss": self.first_loss,
+            "best_loss": self.best_loss,
+            "rows_since_best": self.rows_since_best,
+            "history": self.history,
+        }
+        return Checkpoint(tensors, state)
+
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """Undo :meth:`checkpoint`."""
+        self._load_weights(checkpoint.group("weights"))
+        self.best = checkpoint.group("best")
+        moments: dict[int, dict[str, torch.Tensor]] = {}
+        for name, value in checkpoint.group("optimizer").items():
+            index, _, moment = name.partition(".")
+            moments.setdefault(int(index), {})[moment] = value
+        groups = self.optimizer.state_dict()["param_groups"]
+        self.optimizer.load_state_dict({"state": moments, "param_groups": groups})
+        torch.set_rng_state(checkpoint.tensors["rng"])
+        state = checkpoint.state
+        self.epoch, self.step = int(state["epoch"]), int(state["step"])
+        self.seconds, self.first_loss = float(state["seconds"]), float(state["first_loss"])
+        self.best_loss = float(state["best_loss"])
+        self.rows_since_best = int(state["rows_since_best"])
+        self.history = [dict(row) for row in state["history"]]

@@ -1,0 +1,35 @@
+"""Scores of predictions, of groups and of graphs, as numpy arrays with NaN for the unknown.
+
+- :mod:`swarmssm.metrics.prediction`: errors of predicted states, equations (4.1) to (4.3).
+- :mod:`swarmssm.metrics.collective`: cohesion, alignment and order of a group, (4.4) and (4.5).
+- :mod:`swarmssm.metrics.edges`: a predicted interaction graph against the true one.
+"""
+
+from swarmssm.metrics.collective import (
+    amd,
+    avd,
+    nearest_neighbor_distance,
+    polarization,
+    rotation,
+    speeds,
+)
+from swarmssm.metrics.edges import edge_accuracy, edge_auc, edge_precision, edge_recall
+from swarmssm.metrics.prediction import HorizonErrors, horizon_errors, mae, mse, step_length
+
+__all__ = [
+    "HorizonErrors",
+    "amd",
+    "avd",
+    "edge_accuracy",
+    "edge_auc",
+    "edge_precision",
+    "edge_recall",
+    "horizon_errors",
+    "mae",
+    "mse",
+    "nearest_neighbor_distance",
+    "polarization",
+    "rotation",
+    "speeds",
+    "step_length",
+]

@@ -1,0 +1,88 @@
+"""The thesis's own model: a graph variational autoencoder of one step (section 3.7)."""
+
+from collections.abc import Sequence
+
+import pyro
+import pyro.distributions as dist
+import torch
+from torch import nn
+
+from swarmssm.models.base import NextStep, SwarmModel
+from swarmssm.models.batch import SwarmBatch
+from swarmssm.models.layers import multilayer_perceptron
+
+__all__ = ["GraphVAE"]
+
+#: Where log s starts, in scaled units: below the steps that are to be told apart. Started at the
+#: spread of the data, s explains them all and the latent states stay empty.
+INITIAL_LOG_SCALE = -5.0
+
+
+class GraphVAE(SwarmModel):
+    r"""Each individual's latent state says its next state; each pair's says their next edge.
+
+    .. math::
+
+        z_{t,i} &\sim N(0, I) \\
+        x_{t+1,i} \mid z_{t,i} &\sim N(f(z_{t,i}), \mathrm{diag}(s^2)) \\
+        A_{t+1,ij} \mid z_t &\sim \mathrm{Bernoulli}(\sigma(z_{t,i} \cdot z_{t,j}))
+            \qquad (3.57), \; i \ne j
+
+    with :math:`f` fully connected and :math:`s` learned, one for each feature. Its guide is
+    :class:`swarmssm.inference.guides.GraphEncoderGuide`, :math:`q(z_t \mid x_t, A_t)`. Nothing
+    links :math:`z_t` to :math:`z_{t+1}`, so all steps of all windows are scored in one call.
+
+    A latent state is scored where its individual was observed at both ends of the step, an edge
+    where both of its individuals were.
+
+    Parameters
+    ----------
+    state_dim
+        Features of a state, 4 in the plane.
+    latent_dim
+        Features of a latent state.
+    decoder_widths
+        Widths of the hidden layers of :math:`f`.
+
+    References
+    ----------
+    T. N. Kipf and M. Welling (2016), Variational graph auto-encoders, arXiv:1611.07308.
+    """
+
+    def __init__(
+        self, state_dim: int, latent_dim: int = 4, decoder_widths: Sequence[int] = (32, 32)
+    ) -> None:
+        widths = [int(width) for width in decoder_widths]
+        super().__init__(state_dim, latent_dim=latent_dim, decoder_widths=widths)
+        self.latent_dim = latent_dim
+        self.decoder = multilayer_perceptron([latent_dim, *widths, state_dim])
+        self.log_scale = nn.Parameter(torch.full((state_dim,), INITIAL_LOG_SCALE))
+
+    def decode(self, latent: torch.Tensor) -> NextStep:
+        """Return the next states and the log-odds of the next edges, (3.57)."""
+        states = dist.Normal(self.decoder(latent), self.log_scale.exp())
+        return NextStep(states, latent @ latent.transpose(-1, -2))
+
+    def forward(self, batch: SwarmBatch) -> None:
+        """Score windows: each frame but the last has a latent state, each but the first is data."""
+        windows, times = len(batch), batch.num_times - 1
+        both_ends = batch.mask[:, :-1] & batch.mask[:, 1:]
+        shape = (windows, times, batch.num_individuals, self.latent_dim)
+        zeros = batch.observations.new_zeros(shape)
+        pairs = both_ends.unsqueeze(-1) & both_ends.unsqueeze(-2)
+        pairs = pairs & ~torch.eye(batch.num_individuals, dtype=torch.bool, device=pairs.device)
+        rows = torch.arange(windows, device=zeros.device)
+        with (
+            pyro.plate("windows", batch.population, subsample=rows, dim=-1),
+            pyro.poutine.scale(scale=batch.window_weight),
+        ):
+            prior = dist.Normal(zeros, torch.ones_like(zeros))
+            latent = pyro.sample("states", prior.mask(both_ends.unsqueeze(-1)).to_event(3))
+            following = self.decode(latent)
+            pyro.sample(
+                "next_states",
+                following.states.mask(both_ends.unsqueeze(-1)).to_event(3),
+                obs=batch.observations[:, 1:],
+            )
+            edges = dist.Bernoulli(logits=following.edge_logits, validate_args=False)
+            pyro.sample("next_adjacency", edges.mask(pairs).to_event(3), obs=batch.adjacency[:, 1:])
