@@ -89,7 +89,7 @@ def k_nearest_graph(positions: Tensor, k: int) -> Tensor:
     Ballerini et al. (2008), PNAS 105:1232.
     """
     check_positions(positions)
-    if isinstance(k, bool) or int(k) != k or k < 1:
+    if isinstance(k, bool) or not isinstance(k, int | np.integer) or k < 1:
         raise InputError(f"k: the number of neighbours must be a whole number from 1, not {k}.")
     num_members = positions.shape[-2]
     if k >= num_members - 1:

@@ -18,6 +18,7 @@ References
 import dataclasses
 import math
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -136,7 +137,7 @@ def _check_anatomy(
         raise InputError(f"eye_field: it must be above 0 and at most 360 degrees, not {eye_field}.")
     if eyes not in (1, 2):
         raise InputError(f"eyes: there can be 1 or 2, not {eyes}.")
-    if isinstance(rays, bool) or int(rays) != rays or rays < 2:
+    if isinstance(rays, bool) or not isinstance(rays, int | np.integer) or rays < 2:
         raise InputError(f"rays: each eye needs a whole number of rays, at least 2, not {rays}.")
 
 

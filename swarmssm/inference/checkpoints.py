@@ -63,8 +63,8 @@ def read_checkpoint(folder: Path) -> Checkpoint | None:
         return None
     tensors, metadata = read_tensors(path)
     try:
-        return Checkpoint(tensors, json.loads(metadata["state"]))
-    except (KeyError, ValueError) as error:
+        return Checkpoint(tensors, dict(json.loads(metadata["state"])))
+    except (KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"{path}: it is not a checkpoint of a fit. Delete it to start anew."
         ) from error
@@ -74,7 +74,10 @@ def write_tensors(
     path: Path, tensors: dict[str, torch.Tensor], metadata: dict[str, str] | None = None
 ) -> None:
     """Write tensors as safetensors, replacing the file as a whole."""
-    plain = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+    # Copies: weights that share their memory would be refused.
+    plain = {
+        name: tensor.detach().to("cpu", copy=True).contiguous() for name, tensor in tensors.items()
+    }
     data = safetensors.torch.save(plain, metadata)
     with write_beside(path, overwrite=True) as temporary:
         temporary.write_bytes(data)

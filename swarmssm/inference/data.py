@@ -11,7 +11,7 @@ from swarmssm.graphs import GraphRule, add_adjacency, default_rule, rule_of
 from swarmssm.kinematics import add_velocity
 from swarmssm.models import SwarmBatch
 from swarmssm.scaling import Scaler, fit_scaler
-from swarmssm.tracks import Array, states_of, with_trials
+from swarmssm.tracks import Array, states_of, validate_tracks, with_trials
 
 __all__ = ["Preparation", "Prepared", "preparation_for", "prepare", "windows_of"]
 
@@ -111,9 +111,10 @@ def prepare(tracks: xr.Dataset, preparation: Preparation) -> Prepared:
     Raises
     ------
     InputError
-        If the tracks have another number of dimensions than those the model was fitted on, or no
-        graph where only tracks can know it.
+        If the tracks are none, have another number of dimensions than those the model was fitted
+        on, or no graph where only tracks can know it.
     """
+    tracks = validate_tracks(tracks)
     num_features = 2 * tracks.sizes["space"]
     expected = len(preparation.scaler.offset)
     if num_features != expected:
@@ -158,7 +159,7 @@ def windows_of(prepared: Prepared, window: int | None) -> SwarmBatch:
     prepared
         Tracks as a model sees them.
     window
-        Frames in a window; ``None`` for whole trials.
+        Frames in a window, at least 2; ``None`` for whole trials.
 
     Returns
     -------
@@ -167,15 +168,17 @@ def windows_of(prepared: Prepared, window: int | None) -> SwarmBatch:
     Raises
     ------
     InputError
-        If no window is left.
+        If no window is left, or a window would hold no step.
     """
+    if window is not None and window < 2:
+        raise InputError(f"window: it must be at least 2 frames, and it is {window}.")
     num_times = prepared.mask.shape[1]
     length = num_times if window is None else min(window, num_times)
     pieces: list[tuple[torch.Tensor, torch.Tensor, torch.Tensor]] = []
     for observations, mask, adjacency in zip(
         prepared.observations, prepared.mask, prepared.adjacency, strict=True
     ):
-        for start in range(0, num_times - 1, length - 1):
+        for start in range(0, num_times - 1, max(length - 1, 1)):
             part = slice(start, start + length)
             if not (mask[part][1:] & mask[part][:-1]).any():
                 continue

@@ -11,8 +11,9 @@ import xarray as xr
 
 from swarmssm.errors import InputError, WorkError
 from swarmssm.inference.data import Prepared, prepare
-from swarmssm.inference.forecasting import Stepper, seeded
+from swarmssm.inference.forecasting import Stepper, Trajectory, seeded
 from swarmssm.inference.run_folder import Run, load_run, save_run
+from swarmssm.inference.starting import Start, fullest_frames, last_frames, start_at
 from swarmssm.splits import take
 from swarmssm.tracks import Array, make_tracks
 
@@ -174,7 +175,8 @@ class Fit(Run):
         Dataset with ``position`` and ``velocity`` ``([draw,] trial, time, space, individual)``,
         ``edge_probability ([draw,] trial, time, individual, neighbor)``, and ``time`` going on
         from the history. Each trial is continued from its last frame with anybody in it; who is
-        absent there stays NaN.
+        just out of sight there is carried on, see :func:`swarmssm.inference.starting.start_at`, who
+        has been so for longer stays NaN.
 
         Raises
         ------
@@ -184,12 +186,13 @@ class Fit(Run):
         _check_count("horizon", horizon, 1)
         _check_count("draws", draws, 0)
         prepared = self.prepare(history)
-        last = _last_frames(prepared.mask)
-        path = self._run_from(prepared, last, horizon, draws, seed, edges)
+        last = last_frames(prepared.mask)
+        start = start_at(prepared, self.preparation, last)
+        path = self._run_from(start, horizon, draws, seed, edges)
         leading = ("draw",) * bool(draws)
-        data = self._state_variables(path[0], leading)
+        data = self._state_variables(path.states, leading)
         edge_dims = (*leading, "trial", "time", "individual", "neighbor")
-        data["edge_probability"] = (edge_dims, path[1].numpy())
+        data["edge_probability"] = (edge_dims, path.edge_probability.numpy())
         source = prepared.tracks
         stamps = source["time"].to_numpy()
         step = 1.0 / source.attrs["fps"]
@@ -210,12 +213,12 @@ class Fit(Run):
         seed: int | torch.Generator = 0,
         edges: str = "decoder",
     ) -> xr.Dataset:
-        """Let the learned rule run freely from the last frame of ``initial``.
+        """Let the learned rule run freely from the last full frame of ``initial``.
 
         Parameters
         ----------
         initial
-            Tracks; only each trial's last frame with anybody in it is used.
+            Tracks; each trial is started from its last frame in which most individuals are seen.
         steps
             Number of steps.
         draws
@@ -241,27 +244,18 @@ class Fit(Run):
         _check_count("steps", steps, 1)
         _check_count("draws", draws, 0)
         prepared = self.prepare(initial)
-        last = _last_frames(prepared.mask)
-        states, probability = self._run_from(prepared, last, steps, draws, seed, edges)
-        if not draws:
-            states, probability = states.unsqueeze(0), probability.unsqueeze(0)
-        runs = states.shape[0]
-        trials = torch.arange(len(last))
-        first = torch.from_numpy(prepared.states[trials, last.numpy()])
-        first_graph = prepared.adjacency[trials, last].to(probability.dtype)
-        unscaled = self.preparation.scaler.inverse(states.numpy().astype(np.float64))
-        whole = np.concatenate(
-            [
-                np.broadcast_to(first[None, :, None], (runs, len(last), 1, *first.shape[1:])),
-                unscaled,
-            ],
-            axis=2,
-        )
+        start = start_at(prepared, self.preparation, fullest_frames(prepared.mask))
+        path = self._run_from(start, steps, draws, seed, edges)
+        runs = max(draws, 1)
+        states = path.states.reshape(runs, *path.states.shape[-4:]).to(torch.float64)
+        states = self.preparation.scaler.inverse_tensor(states)
+        first = start.unscaled.expand(runs, *start.unscaled.shape).unsqueeze(2)
+        whole = torch.cat([first, states], dim=2).numpy()
         if not np.isfinite(whole[~np.isnan(whole)]).all():
             raise WorkError("rollout: the free run left all bounds; take fewer steps.")
-        graph = torch.cat(
-            [first_graph[None, :, None].expand(runs, -1, -1, -1, -1), (probability > 0.5)], dim=2
-        )
+        graph = path.adjacency.reshape(runs, *path.adjacency.shape[-4:])
+        first = start.adjacency.bool().expand(runs, -1, -1, -1).unsqueeze(2)
+        graph = torch.cat([first, graph], dim=2)
         flat = whole.reshape(-1, *whole.shape[2:])
         half = flat.shape[-1] // 2
         names = [str(name) for name in prepared.tracks["trial"].values]
@@ -290,25 +284,20 @@ class Fit(Run):
 
     def _run_from(
         self,
-        prepared: Prepared,
-        rows: torch.Tensor,
+        start: Start,
         steps: int,
         draws: int,
         seed: int | torch.Generator,
         edges: str,
-    ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Run from one frame of each trial; return states and edge probabilities."""
-        trials = torch.arange(len(rows))
-        start = (
-            prepared.observations[trials, rows],
-            prepared.adjacency[trials, rows],
-            prepared.mask[trials, rows],
+    ) -> Trajectory:
+        """Run from a start."""
+        shape = (draws,) * bool(draws)
+        states, adjacency, present = (
+            value.expand(*shape, *value.shape)
+            for value in (start.states, start.adjacency, start.present)
         )
-        if draws:
-            start = tuple(value.expand(draws, *value.shape) for value in start)  # type: ignore[assignment]
         with seeded(seed):
-            path = self.stepper(edges).run(*start, steps, sample=bool(draws))
-        return path.states, path.edge_probability
+            return self.stepper(edges).run(states, adjacency, present, steps, sample=bool(draws))
 
     def _by_chunks(
         self,
@@ -359,15 +348,6 @@ class Fit(Run):
 def _delayed(values: torch.Tensor) -> torch.Tensor:
     """Shift a prediction to the frame it is of: along dimension 1, the first frame NaN."""
     return torch.cat([torch.full_like(values[:, :1], torch.nan), values[:, :-1]], dim=1)
-
-
-def _last_frames(mask: torch.Tensor) -> torch.Tensor:
-    """Return each trial's last row in which anybody was observed."""
-    anybody = mask.any(-1)
-    if not anybody.any(-1).all():
-        raise InputError("tracks: in one trial nobody is seen in two consecutive frames.")
-    rows = torch.arange(mask.shape[1])
-    return torch.where(anybody, rows, -1).amax(-1)
 
 
 def _check_count(name: str, value: int, least: int) -> None:

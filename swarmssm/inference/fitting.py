@@ -14,7 +14,7 @@ import torch
 import xarray as xr
 
 from swarmssm import metrics
-from swarmssm.errors import InputError
+from swarmssm.errors import InputError, WorkError
 from swarmssm.inference.checkpoints import Checkpoint, read_checkpoint
 from swarmssm.inference.data import Prepared, preparation_for, prepare, windows_of
 from swarmssm.inference.fitted import Fit
@@ -26,12 +26,13 @@ from swarmssm.inference.run_folder import (
     check_run_output,
     finish_run,
     provenance_now,
+    real_folder,
     replace_folder,
     write_config,
 )
 from swarmssm.inference.settings import settings_from
 from swarmssm.inference.training import Progress, TrainingData, quiet_pyro, train
-from swarmssm.models import SwarmModel
+from swarmssm.models import SwarmBatch, SwarmModel
 from swarmssm.splits import split, take
 from swarmssm.tracks import validate_tracks
 
@@ -46,6 +47,7 @@ def fit(
     guide: str = "encoder",
     tracks: xr.Dataset | None = None,
     *,
+    source: str | Path = "",
     out: str | Path | None = None,
     resume: bool = False,
     overwrite: bool = False,
@@ -65,6 +67,8 @@ def fit(
         ``module:attribute``.
     tracks
         Tracks.
+    source
+        File that the tracks were read from, noted in the provenance.
     out
         Run folder to write. With it, checkpoints are written during training, and a fit that was
         interrupted can be continued.
@@ -96,8 +100,9 @@ def fit(
     wanted = settings_from({"model": model, "guide": guide, **settings})
     device = _device(wanted.device)
     folder = None if out is None else Path(out)
-    if folder is not None and not resume:
-        check_run_output(folder, overwrite=overwrite)
+    if folder is not None:
+        check_run_output(folder, overwrite=overwrite or resume)
+        folder = real_folder(folder)
     parts = split(tracks, wanted.split_by, wanted.fractions, wanted.gap)
     preparation, training = preparation_for(
         take(tracks, parts.train),
@@ -110,7 +115,7 @@ def fit(
     validation = None
     if parts.validation:
         watched = prepare(take(tracks, parts.validation), preparation)
-        validation = windows_of(watched, wanted.window)
+        validation = _validation_windows(watched, wanted.window)
     with torch.random.fork_rng():
         torch.manual_seed(wanted.seed)
         modules = build_modules(wanted, len(preparation.scaler.offset))
@@ -125,19 +130,24 @@ def fit(
             _TrainingScores(prepared, *modules),
         )
         with quiet_pyro():
-            history = train(
-                *modules,
-                data,
-                wanted,
-                start=start,
-                checkpoint_folder=None if working is None else working / CHECKPOINT,
-                digest=digest,
-                callbacks=callbacks,
-            )
+            try:
+                history = train(
+                    *modules,
+                    data,
+                    wanted,
+                    start=start,
+                    checkpoint_folder=None if working is None else working / CHECKPOINT,
+                    digest=digest,
+                    callbacks=callbacks,
+                )
+            except WorkError:
+                if working is not None and not any((working / CHECKPOINT).iterdir()):
+                    shutil.rmtree(working)
+                raise
     for module in modules:
         module.to("cpu").eval()
     facts = {
-        "file": str(tracks.attrs.get("path", "")),
+        "file": str(Path(source).resolve()) if source else "",
         "source_file": str(tracks.attrs.get("source_file", "")),
         "sha256": tracks_digest(tracks),
     }
@@ -166,7 +176,21 @@ def tracks_digest(tracks: xr.Dataset) -> str:
 def _digest(run: Run, tracks: xr.Dataset) -> str:
     """Return what must be equal for a checkpoint to be continued: settings and data."""
     settings = run.settings.model_dump(mode="json", exclude=FREE_ON_RESUME)
-    return json.dumps({"settings": settings, "data": tracks_digest(tracks)}, sort_keys=True)
+    # An attribute of the tracks, such as a body length, may change the rule.
+    rule = None if run.preparation.rule is None else run.preparation.rule.to_dict()
+    facts = {"settings": settings, "data": tracks_digest(tracks), "rule": rule}
+    return json.dumps(facts, sort_keys=True)
+
+
+def _validation_windows(prepared: Prepared, window: int | None) -> SwarmBatch:
+    """Cut the validation part into windows, and say of which part it is if that fails."""
+    try:
+        return windows_of(prepared, window)
+    except InputError as error:
+        raise InputError(
+            "fractions: in the validation part nobody is seen in two consecutive frames, so that "
+            "it can score nothing. Give it a larger share, or none."
+        ) from error
 
 
 def _working_folder(
@@ -185,7 +209,11 @@ def _working_folder(
     if not resume:
         shutil.rmtree(working, ignore_errors=True)
     elif (folder / "provenance.json").exists() and working == folder:
-        raise InputError(f"{folder}: this fit is finished; there is nothing to resume.")
+        hint = " Add --overwrite to go on with the one that is to replace it."
+        raise InputError(
+            f"{folder}: this fit is finished; there is nothing to resume."
+            + (hint if beside.exists() else "")
+        )
     start = read_checkpoint(working / CHECKPOINT)
     if start is not None and start.state.get("digest") != digest:
         raise InputError(
@@ -194,7 +222,10 @@ def _working_folder(
         )
     if not working.exists() and not working.parent.is_dir():
         raise InputError(f"{folder}: the folder {folder.parent} does not exist. Make it first.")
-    (working / CHECKPOINT).mkdir(parents=True, exist_ok=True)
+    try:
+        (working / CHECKPOINT).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise WorkError(f"{working}: cannot be written ({error.strerror}).") from error
     write_config(run, working)
     return working, start
 
@@ -215,7 +246,7 @@ def _device(name: str) -> torch.device:
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     try:
         device = torch.device(name)
-        torch.empty(0, device=device)
+        torch.zeros((), device=device).item()
     except (RuntimeError, AssertionError) as error:
         raise InputError(f"device: {name!r} is not to be had here; choose cpu.") from error
     return device

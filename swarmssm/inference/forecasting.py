@@ -12,13 +12,13 @@ from swarmssm.inference.guides import SwarmGuide
 from swarmssm.models import SwarmModel
 from swarmssm.scaling import Scaler
 
-__all__ = ["EDGE_SOURCES", "Path", "Stepper", "seeded"]
+__all__ = ["EDGE_SOURCES", "Stepper", "Trajectory", "seeded"]
 
 EDGE_SOURCES = ("decoder", "rule")
 
 
 @dataclass(frozen=True)
-class Path:
+class Trajectory:
     """Forecast steps.
 
     Attributes
@@ -27,10 +27,13 @@ class Path:
         ``(..., step, individual, state)``, scaled.
     edge_probability
         ``(..., step, individual, individual)``: that the edge is there after the step.
+    adjacency
+        Same shape, of bool: the graph on which the step after it runs.
     """
 
     states: torch.Tensor
     edge_probability: torch.Tensor
+    adjacency: torch.Tensor
 
 
 @dataclass(frozen=True)
@@ -75,7 +78,7 @@ class Stepper:
         steps: int,
         *,
         sample: bool,
-    ) -> Path:
+    ) -> Trajectory:
         """Take ``steps`` steps from one frame.
 
         Parameters
@@ -94,12 +97,12 @@ class Stepper:
 
         Returns
         -------
-        Path with ``steps`` frames after the given one; absent individuals are NaN.
+        Trajectory with ``steps`` frames after the given one; absent individuals are NaN.
         """
         pairs = present.unsqueeze(-1) & present.unsqueeze(-2)
         pairs = pairs & ~torch.eye(present.shape[-1], dtype=torch.bool, device=present.device)
         gone = ~present.unsqueeze(-1)
-        frames, probabilities = [], []
+        frames, probabilities, graphs = [], [], []
         states = states.masked_fill(gone, 0.0)
         graph = adjacency.to(states.dtype) * pairs
         for _ in range(steps):
@@ -112,7 +115,10 @@ class Stepper:
             graph = self._graph(states, probability, gone, sample) * pairs
             frames.append(states.masked_fill(gone, torch.nan))
             probabilities.append(probability)
-        return Path(torch.stack(frames, dim=-3), torch.stack(probabilities, dim=-3))
+            graphs.append(graph.bool())
+        return Trajectory(
+            *(torch.stack(column, dim=-3) for column in (frames, probabilities, graphs))
+        )
 
     def _graph(
         self, states: torch.Tensor, probability: torch.Tensor, gone: torch.Tensor, sample: bool

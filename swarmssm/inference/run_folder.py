@@ -47,6 +47,7 @@ __all__ = [
     "finish_run",
     "load_run",
     "provenance_now",
+    "real_folder",
     "replace_folder",
     "save_run",
     "write_config",
@@ -102,17 +103,22 @@ def build_modules(settings: FitSettings, state_dim: int) -> tuple[SwarmModel, Sw
         builder = find_guide(settings.guide)
         builder = getattr(builder, "for_model", builder)
         guide = _build(builder, "guide", settings.guide, model, settings.guide_options)
-    return model, guide
+    # The type of the windows, whatever torch's default type is.
+    return model.to(torch.float32), guide.to(torch.float32)
 
 
 def _build(builder: Any, what: str, name: str, first: Any, options: Mapping[str, Any]) -> Any:
     """Call a constructor, and say in one sentence if its options are wrong."""
     try:
-        return builder(first, **options)
-    except (TypeError, ValueError, RuntimeError) as error:
+        built = builder(first, **options)
+    except Exception as error:  # the constructor may be the user's own
+        reason = str(error).rstrip(".") or type(error).__name__
         raise InputError(
-            f"{what}: {name} cannot be built with {dict(options)}: {error}."
+            f"{what}: {name} cannot be built with {dict(options)}: {reason}."
         ) from error
+    if not isinstance(built, torch.nn.Module):
+        raise InputError(f"{what}: {name} built no torch module, but {type(built).__name__}.")
+    return built
 
 
 def provenance_now(data: Mapping[str, Any]) -> dict[str, Any]:
@@ -139,6 +145,7 @@ def save_run(run: Run, folder: Path, *, overwrite: bool = False) -> None:
         If it cannot be written; what was there before is then unchanged.
     """
     check_run_output(folder, overwrite=overwrite)
+    folder = real_folder(folder)
     try:
         temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
     except OSError as error:
@@ -161,23 +168,55 @@ def check_run_output(folder: Path, *, overwrite: bool) -> None:
         return
     if not overwrite:
         raise InputError(
-            f"{folder}: exists already and was left as it is. Choose another name, add --overwrite, "
-            "or --resume to go on with an interrupted fit."
+            f"{folder}: exists already and was left as it is. Choose another name, add "
+            "--overwrite, or --resume to go on with an interrupted fit."
         )
-    is_run = folder.is_dir() and ((folder / CONFIG).is_file() or not any(folder.iterdir()))
-    if not is_run:
+    if not _is_run(folder):
         raise InputError(
             f"{folder}: it is not a run folder, and is not overwritten. Choose another name."
         )
 
 
+def real_folder(folder: Path) -> Path:
+    """Return the folder itself where a link or dots stand for it, so that it can be replaced."""
+    dots = folder.name in ("", "..")
+    return folder.resolve() if dots or folder.is_symlink() else folder
+
+
+def _is_run(folder: Path) -> bool:
+    """Return whether a folder is empty or holds a fit, finished or not, and nothing else's config.
+
+    Many programs write a ``config.json``: a folder is not given up for the name alone.
+    """
+    if not folder.is_dir():
+        return False
+    if not any(folder.iterdir()):
+        return True
+    try:
+        config = read_json(folder / CONFIG)
+    except InputError:
+        return False
+    return {"settings", "preparation", "split"} <= config.keys()
+
+
 def replace_folder(source: Path, target: Path) -> None:
-    """Put a finished folder in the place of another, which is removed only afterwards."""
+    """Put a finished folder in the place of another, which is removed only afterwards.
+
+    Raises
+    ------
+    WorkError
+        If the system refuses; the target is then as it was.
+    """
     old = target.with_name(f".{target.name}.old")
     shutil.rmtree(old, ignore_errors=True)
-    if target.exists():
-        target.rename(old)
-    source.rename(target)
+    try:
+        if target.exists():
+            target.rename(old)
+        source.rename(target)
+    except OSError as error:
+        if old.exists() and not target.exists():
+            old.rename(target)
+        raise WorkError(f"{target}: cannot be replaced ({error.strerror}).") from error
     shutil.rmtree(old, ignore_errors=True)
 
 
@@ -262,7 +301,7 @@ def load_run(folder: Path, *, trust_code: bool = False) -> Run:
     try:
         preparation = _preparation(_table(config, "preparation", folder))
         split = Split.from_dict(_table(config, "split", folder))
-        history = pd.read_csv(folder / HISTORY)
+        history = pd.read_csv(folder / HISTORY, float_precision="round_trip")
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"{folder}: {CONFIG} or {HISTORY} cannot be understood ({error})."

@@ -1,14 +1,29 @@
 """Everything that decides a fit, in one validated and storable object."""
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
+import numpy as np
 import pydantic
 
 from swarmssm.errors import InputError
 from swarmssm.graphs import GraphRule
 
 __all__ = ["FitSettings", "settings_from"]
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as JSON would give it back: tuples as lists, numpy's numbers as Python's."""
+    if isinstance(value, Mapping):
+        return {name: _plain(part) for name, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(part) for part in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return value
+
+
+Options = dict[str, Annotated[pydantic.JsonValue, pydantic.BeforeValidator(_plain)]]
 
 
 class FitSettings(pydantic.BaseModel):
@@ -19,16 +34,18 @@ class FitSettings(pydantic.BaseModel):
     model, guide
         Registered name or ``module:attribute``.
     model_options, guide_options
-        Named arguments of their constructors.
+        Named arguments of their constructors: values that JSON can hold.
     epochs
         Passes over all training windows; absent, those of the model (300 for the thesis's).
     steps
-        Steps of the optimiser; given, it takes the place of ``epochs``.
+        Steps of the optimiser; given, it takes the place of ``epochs``. The last pass over the
+        windows may then be partial.
     window
-        Frames in a window; absent, whole trials. Consecutive windows share one frame, so that
+        Frames in a window; ``None``, whole trials. Consecutive windows share one frame, so that
         each step of the recording is in one window.
     batch_windows
-        Windows in a mini-batch; absent, all of them.
+        Windows in a mini-batch; ``None``, all of them; ``"auto"``, a sixteenth, so that a pass
+        over few data takes about as many steps of the optimiser as one over many.
     lr
         Learning rate of Adam.
     schedule
@@ -62,13 +79,13 @@ class FitSettings(pydantic.BaseModel):
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True, protected_namespaces=())
 
     model: str = "graph-vae"
-    model_options: dict[str, Any] = {}
+    model_options: Options = {}
     guide: str = "encoder"
-    guide_options: dict[str, Any] = {}
+    guide_options: Options = {}
     epochs: pydantic.PositiveInt | None = None
     steps: pydantic.PositiveInt | None = None
-    window: int | None = pydantic.Field(50, ge=2)
-    batch_windows: pydantic.PositiveInt | None = 4
+    window: int | None = pydantic.Field(20, ge=2)
+    batch_windows: pydantic.PositiveInt | Literal["auto"] | None = "auto"
     lr: pydantic.PositiveFloat = pydantic.Field(0.005, allow_inf_nan=False)
     schedule: Literal["constant", "cosine"] = "cosine"
     clip: pydantic.PositiveFloat | None = 1.0

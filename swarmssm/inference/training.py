@@ -1,17 +1,19 @@
 """The training loop: mini-batches of windows, validation, checkpoints."""
 
+import contextlib
+import itertools
 import math
 import time
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import pyro
 import torch
 from pyro.infer import Trace_ELBO
 
-from swarmssm.errors import WorkError
+from swarmssm.errors import InputError, WorkError
 from swarmssm.inference.checkpoints import Checkpoint, write_checkpoint
 from swarmssm.inference.guides import SwarmGuide
 from swarmssm.inference.settings import FitSettings
@@ -19,9 +21,11 @@ from swarmssm.models import SwarmBatch, SwarmModel
 
 __all__ = ["Progress", "TrainingData", "num_epochs", "quiet_pyro", "train"]
 
-#: A loss this many nats per observed coordinate above the first epoch's has exploded.
-EXPLODED = 1000.0
+#: A loss this many times the first one's size (at least one nat) has exploded.
+EXPLODED = 100.0
 HISTORY_ROWS = 100
+#: Steps in a pass over all windows, where mini-batches are left to us.
+AUTO_STEPS = 16
 
 
 @dataclass(frozen=True)
@@ -80,35 +84,38 @@ def num_coordinates(windows: SwarmBatch) -> int:
     return int(both_ends.sum()) * windows.observations.shape[-1]
 
 
+def batch_size(settings: FitSettings, num_windows: int) -> int:
+    """Return the number of windows in a mini-batch."""
+    if settings.batch_windows == "auto":
+        return math.ceil(num_windows / AUTO_STEPS)
+    return min(settings.batch_windows or num_windows, num_windows)
+
+
 def steps_per_epoch(settings: FitSettings, num_windows: int) -> int:
     """Return the number of mini-batches in a pass over all windows."""
-    return math.ceil(num_windows / (settings.batch_windows or num_windows))
+    return math.ceil(num_windows / batch_size(settings, num_windows))
 
 
 def num_epochs(settings: FitSettings, model: SwarmModel, num_windows: int) -> int:
-    """Return how many passes over the windows the settings ask for."""
+    """Return how many passes over the windows the settings ask for, the last one maybe partial."""
     if settings.steps is not None:
         return math.ceil(settings.steps / steps_per_epoch(settings, num_windows))
     return settings.epochs or model.default_epochs
 
 
-def quiet_pyro() -> Any:
-    """Return a context in which Pyro keeps parameters in the modules and does not validate."""
-    return _QuietPyro()
+@contextlib.contextmanager
+def quiet_pyro() -> Iterator[None]:
+    """Let Pyro keep parameters in the modules, and leave it to us to look for what is not a number.
 
-
-class _QuietPyro:
-    """Both of Pyro's global switches at once, put back on leaving."""
-
-    def __enter__(self) -> None:
-        self._local = pyro.settings.context(module_local_params=True)
-        self._validation = pyro.validation_enabled(False)
-        self._local.__enter__()
-        self._validation.__enter__()
-
-    def __exit__(self, *error: Any) -> None:
-        self._validation.__exit__(*error)
-        self._local.__exit__(*error)
+    Its global switches are put back on leaving.
+    """
+    with (
+        pyro.settings.context(module_local_params=True),
+        pyro.validation_enabled(False),
+        warnings.catch_warnings(),
+    ):
+        warnings.filterwarnings("ignore", "Encountered", UserWarning)
+        yield
 
 
 def train(
@@ -152,27 +159,34 @@ def train(
 
     Raises
     ------
+    InputError
+        If the checkpoint is of another network.
     WorkError
         If the loss is NaN or explodes: says at which step and what to try. Checkpoints are only
         written when all is well, so that the last good one is kept.
     """
     run = _Run(model, guide, data, settings, digest)
     if start is not None:
-        run.restore(start)
+        try:
+            run.restore(start)
+        except (KeyError, TypeError, ValueError, RuntimeError) as error:
+            raise InputError(
+                f"{checkpoint_folder}: the checkpoint does not fit model and guide; has their code "
+                "changed? Start anew (--overwrite)."
+            ) from error
     last_saved = run.step
-    for epoch in range(run.epoch, run.num_epochs):
-        loss = run.one_epoch(epoch)
-        finished = epoch + 1 == run.num_epochs
-        row = run.record(loss) if finished or (epoch + 1) % run.record_every == 0 else None
+    while not run.is_over():
+        loss = run.one_epoch()
+        finished = run.epoch == run.num_epochs
+        row = run.record(loss) if finished or run.epoch % run.record_every == 0 else None
         for callback in callbacks:
-            callback(Progress(epoch + 1, run.num_epochs, run.step, loss, row))
-        stop = finished or run.out_of_patience()
+            callback(Progress(run.epoch, run.num_epochs, run.step, loss, row))
         due = run.step - last_saved >= settings.checkpoint_every
-        if checkpoint_folder is not None and (due or stop):
-            write_checkpoint(checkpoint_folder, run.checkpoint())
-            last_saved = run.step
-        if stop:
-            break
+        if due or run.is_over():
+            run.check_weights()
+            if checkpoint_folder is not None:
+                write_checkpoint(checkpoint_folder, run.checkpoint())
+                last_saved = run.step
     run.keep_best()
     return run.history
 
@@ -191,9 +205,10 @@ class _Run:
         self.data, self.settings, self.digest = data, settings, digest
         self.modules: dict[str, torch.nn.Module] = {"model": model, "guide": guide}
         self.elbo = _Elbo(model, guide)
-        self.optimizer = torch.optim.Adam(self.elbo.parameters, lr=settings.lr)
+        self.optimizer = torch.optim.Adam(self.elbo.parameters, lr=settings.lr, fused=True)
         self.steps_per_epoch = steps_per_epoch(settings, len(data.train))
         self.num_epochs = num_epochs(settings, model, len(data.train))
+        self.num_steps = settings.steps or self.num_epochs * self.steps_per_epoch
         self.record_every = settings.validate_every or math.ceil(self.num_epochs / HISTORY_ROWS)
         self.coordinates = num_coordinates(data.train)
         self.epoch = self.step = 0
@@ -205,27 +220,41 @@ class _Run:
         self.best: dict[str, torch.Tensor] = {}
         self.rows_since_best = 0
 
-    def one_epoch(self, epoch: int) -> float:
+    def is_over(self) -> bool:
+        """Return whether all epochs are done, or the validation loss has not fallen for too long.
+
+        A run that was killed after its last checkpoint is over when it is continued.
+        """
+        patience = self.settings.patience
+        stopped = patience is not None and bool(self.best) and self.rows_since_best >= patience
+        return stopped or self.epoch >= self.num_epochs
+
+    def one_epoch(self) -> float:
         """Step through all mini-batches; return the mean loss."""
         began = time.perf_counter()
-        self.epoch = epoch
-        losses = [self._step(batch) for batch in self._batches(epoch)]
+        batches = itertools.islice(self._batches(self.epoch), self.num_steps - self.step)
         # One transfer an epoch: reading each loss would stall an accelerator at every step.
-        values: list[float] = torch.stack(losses).tolist()
+        steps = torch.stack([self._step(batch) for batch in batches])
+        values, norms = steps.double().T.tolist()
         loss = float(sum(values)) / len(values)
         if math.isnan(self.first_loss):
             self.first_loss = values[0]
-        for offset, value in enumerate(values):
-            if not value < self.first_loss + EXPLODED:
-                self._give_up(self.step - len(values) + offset + 1, value)
-        self.epoch = epoch + 1
+        for offset, (value, norm) in enumerate(zip(values, norms, strict=True)):
+            step = self.step - len(values) + offset + 1
+            if not value < EXPLODED * max(abs(self.first_loss), 1.0):
+                what = "is not a number" if math.isnan(value) else f"exploded to {value:.3g}"
+                self._give_up(step, f"the loss {what}")
+            if not math.isfinite(norm):
+                self._give_up(step, "the gradient is not finite")
+        self.gradient_norm = norms[-1]
+        self.epoch += 1
         self.seconds += time.perf_counter() - began
         return loss
 
     def _batches(self, epoch: int) -> Iterator[SwarmBatch]:
         """Yield the windows once, in an order that depends on seed and epoch only."""
         windows = self.data.train
-        size = self.settings.batch_windows or len(windows)
+        size = batch_size(self.settings, len(windows))
         if size >= len(windows):
             yield windows
             return
@@ -235,25 +264,30 @@ class _Run:
             yield windows.select(part)
 
     def _step(self, batch: SwarmBatch) -> torch.Tensor:
-        """Take one step of Adam; return the loss, not read yet."""
+        """Take one step of Adam; return loss and norm of the gradient, not read yet."""
         if self.settings.schedule == "cosine":
-            done = self.step / (self.num_epochs * self.steps_per_epoch)
+            done = self.step / self.num_steps
             for group in self.optimizer.param_groups:
                 group["lr"] = self.settings.lr * 0.5 * (1.0 + math.cos(math.pi * done))
         self.optimizer.zero_grad(set_to_none=True)
         loss = self.elbo(batch, self.coordinates)
         loss.backward()  # type: ignore[no-untyped-call]
         clip = math.inf if self.settings.clip is None else self.settings.clip
-        self._norm = torch.nn.utils.clip_grad_norm_(self.elbo.parameters, clip)
+        norm = torch.nn.utils.clip_grad_norm_(self.elbo.parameters, clip)
         self.optimizer.step()
         self.step += 1
-        return loss.detach()
+        return torch.stack([loss.detach(), norm.detach()])
 
-    def _give_up(self, step: int, value: float) -> None:
-        """Say at which step the loss was lost, and what to try."""
-        what = "is not a number" if math.isnan(value) else f"exploded to {value:.3g}"
+    def check_weights(self) -> None:
+        """Refuse weights that the last step has spoilt, which no loss has seen yet."""
+        if not all(weight.isfinite().all() for weight in self.elbo.parameters):
+            self._give_up(self.step, "a weight is no longer finite")
+
+    def _give_up(self, step: int, what: str) -> None:
+        """Say at which step the fit was lost, and what to try."""
+        epoch = (step - 1) // self.steps_per_epoch + 1
         raise WorkError(
-            f"training: the loss {what} at step {step} (epoch {self.epoch + 1}). Try a smaller "
+            f"training: {what} at step {step} (epoch {epoch}). Try a smaller "
             f"learning rate than {self.settings.lr:g}, a smaller clip, or another seed; the last "
             "good checkpoint, if there is one, is kept."
         )
@@ -262,9 +296,10 @@ class _Run:
         """Add a row to the history and remember the best weights."""
         began = time.perf_counter()
         row = {"epoch": float(self.epoch), "step": float(self.step), "loss": loss}
-        row["validation_loss"] = self._validate()
-        row["gradient_norm"] = float(self._norm)
-        row.update(self.data.scores())
+        with self._evaluating():
+            row["validation_loss"] = self._validate()
+            row["gradient_norm"] = self.gradient_norm
+            row.update(self.data.scores())
         self.seconds += time.perf_counter() - began
         row["seconds"] = self.seconds
         self.history.append(row)
@@ -284,10 +319,17 @@ class _Run:
             torch.manual_seed(self.settings.seed)
             return float(self.elbo(windows, num_coordinates(windows)))
 
-    def out_of_patience(self) -> bool:
-        """Return whether the validation loss has not fallen for too long."""
-        patience = self.settings.patience
-        return patience is not None and bool(self.best) and self.rows_since_best >= patience
+    @contextlib.contextmanager
+    def _evaluating(self) -> Iterator[None]:
+        """Keep what watches a network from changing it, as layers of normalisation would be."""
+        modes = [(part, part.training) for top in self.modules.values() for part in top.modules()]
+        for top in self.modules.values():
+            top.eval()
+        try:
+            yield
+        finally:
+            for part, mode in modes:
+                part.training = mode
 
     def keep_best(self) -> None:
         """Give the modules the weights with the best validation loss, if there were any."""

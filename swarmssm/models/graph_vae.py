@@ -9,7 +9,7 @@ from torch import nn
 
 from swarmssm.models.base import NextStep, SwarmModel
 from swarmssm.models.batch import SwarmBatch
-from swarmssm.models.layers import multilayer_perceptron
+from swarmssm.models.layers import check_sizes, multilayer_perceptron
 
 __all__ = ["GraphVAE"]
 
@@ -44,6 +44,11 @@ class GraphVAE(SwarmModel):
     decoder_widths
         Widths of the hidden layers of :math:`f`.
 
+    Raises
+    ------
+    ValueError
+        If a size or a width is no positive whole number.
+
     References
     ----------
     T. N. Kipf and M. Welling (2016), Variational graph auto-encoders, arXiv:1611.07308.
@@ -52,7 +57,8 @@ class GraphVAE(SwarmModel):
     def __init__(
         self, state_dim: int, latent_dim: int = 4, decoder_widths: Sequence[int] = (32, 32)
     ) -> None:
-        widths = [int(width) for width in decoder_widths]
+        widths = list(decoder_widths)
+        check_sizes(state_dim=state_dim, latent_dim=latent_dim)
         super().__init__(state_dim, latent_dim=latent_dim, decoder_widths=widths)
         self.latent_dim = latent_dim
         self.decoder = multilayer_perceptron([latent_dim, *widths, state_dim])

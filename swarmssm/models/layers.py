@@ -10,7 +10,13 @@ from collections.abc import Sequence
 import torch
 from torch import nn
 
-__all__ = ["GatedGraphLayer", "GraphConvolution", "fan_in_uniform_", "multilayer_perceptron"]
+__all__ = [
+    "GatedGraphLayer",
+    "GraphConvolution",
+    "check_sizes",
+    "fan_in_uniform_",
+    "multilayer_perceptron",
+]
 
 
 class GatedGraphLayer(nn.Module):
@@ -34,6 +40,11 @@ class GatedGraphLayer(nn.Module):
     num_rounds
         Rounds of message passing, each with its own :math:`W` and one common unit.
 
+    Raises
+    ------
+    ValueError
+        If a size is no positive whole number, or the nodes have more features than the result.
+
     Shapes
     ------
     nodes ``(..., individual, in_features)``, adjacency ``(..., individual, individual)``, result
@@ -42,6 +53,7 @@ class GatedGraphLayer(nn.Module):
 
     def __init__(self, in_features: int, out_features: int, num_rounds: int = 1) -> None:
         super().__init__()
+        check_sizes(in_features=in_features, out_features=out_features, num_rounds=num_rounds)
         if in_features > out_features:
             raise ValueError(f"out_features ({out_features}) must be at least {in_features}")
         self.padding = out_features - in_features
@@ -76,6 +88,11 @@ class GraphConvolution(nn.Module):
         Whether the first term is there. (3.7) prints it; Kipf and Welling, and the usual
         libraries, leave it out, and then individuals that all see each other become equal.
 
+    Raises
+    ------
+    ValueError
+        If a size is no positive whole number.
+
     Shapes
     ------
     nodes ``(..., individual, in_features)``, normalized ``(..., individual, individual)`` as
@@ -85,6 +102,7 @@ class GraphConvolution(nn.Module):
 
     def __init__(self, in_features: int, out_features: int, *, self_weight: bool = True) -> None:
         super().__init__()
+        check_sizes(in_features=in_features, out_features=out_features)
         self.neighbor = nn.Linear(in_features, out_features, bias=False)
         self.own = nn.Linear(in_features, out_features, bias=False) if self_weight else None
         self.bias = nn.Parameter(torch.zeros(out_features))
@@ -99,7 +117,16 @@ class GraphConvolution(nn.Module):
 
 
 def multilayer_perceptron(widths: Sequence[int]) -> nn.Sequential:
-    """Return fully connected layers of the given widths, with ReLU between them."""
+    """Return fully connected layers of the given widths, with ReLU between them.
+
+    Raises
+    ------
+    ValueError
+        If a width is no positive whole number, or there are fewer than two.
+    """
+    if len(widths) < 2:
+        raise ValueError("widths must have at least two numbers: those before and after")
+    check_sizes(**{f"widths[{place}]": width for place, width in enumerate(widths)})
     layers: list[nn.Module] = []
     for before, after in itertools.pairwise(widths):
         layers += [nn.Linear(before, after), nn.ReLU()]
@@ -117,3 +144,16 @@ def fan_in_uniform_(module: nn.Module) -> None:
             else:
                 bound = 1.0 / math.sqrt(parameter.shape[-1])
                 parameter.uniform_(-bound, bound)
+
+
+def check_sizes(**sizes: int) -> None:
+    """Refuse sizes of a network that are no positive whole numbers.
+
+    Raises
+    ------
+    ValueError
+        Naming the size and its value.
+    """
+    for name, size in sizes.items():
+        if isinstance(size, bool) or not isinstance(size, int) or size < 1:
+            raise ValueError(f"{name} must be a positive whole number, not {size!r}")

@@ -33,14 +33,16 @@ def disturb_uniform(directions: Tensor, width: float, generator: torch.Generator
     In the plane this turns by an angle uniform in ``[-width / 2, width / 2]``. A width of ``2 pi``
     is the whole circle or sphere.
     """
-    tangent = unit(_tangent(directions, generator), torch.zeros_like(directions))
-    share = torch.rand((*directions.shape[:-1], 1), dtype=directions.dtype, generator=generator)
+    shape = (*directions.shape[:-1], 1)
+    share = torch.rand(shape, dtype=directions.dtype, generator=generator)
     if directions.shape[-1] == 2:
-        angle = 0.5 * width * share
+        angle = width * (share - 0.5)
+        aside = torch.stack([-directions[..., 1], directions[..., 0]], -1)
     else:
         # By area: the cosine is uniform.
         angle = torch.acos(1.0 - share * (1.0 - math.cos(0.5 * width)))
-    return angle.cos() * directions + angle.sin() * tangent
+        aside = unit(_tangent(directions, generator), torch.zeros_like(directions))
+    return unit(angle.cos() * directions + angle.sin() * aside, directions)
 
 
 def disturb_normal(directions: Tensor, sd: float, generator: torch.Generator) -> Tensor:

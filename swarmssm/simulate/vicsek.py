@@ -85,8 +85,9 @@ class Vicsek:
         generator: torch.Generator | None = None,
     ) -> tuple[Tensor, Tensor]:
         """Return the next positions and velocities; without a generator those free of noise."""
-        heading = unit(velocities + self.dt * force.sum(-3), velocities / self.speed)
-        if generator is not None:
+        own = velocities / self.speed
+        heading = unit(own + self.dt / self.speed * force.sum(-3), own)
+        if generator is not None and self.process_noise > 0.0:
             heading = disturb_uniform(heading, self.process_noise, generator)
         return positions + self.dt * velocities, self.speed * heading
 

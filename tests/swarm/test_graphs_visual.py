@@ -112,10 +112,15 @@ def test_an_eye_inside_bodies_sees_these_bodies_alone():
 
 
 def test_who_has_no_heading_sees_nobody_but_hides():
-    """A disc of the same area has half the length of 0.5 as radius: 0.25 off the row."""
-    row = [[0, 0], [3, 0], [6, 0]]
-    assert see(row, [EAST, (NAN, NAN), EAST]) == {(0, 1)}
-    assert see(row, [EAST, (0.0, 0.0), EAST]) == {(0, 1)}
+    """A disc of the same area has the radius 0.5 * sqrt(1 * 0.25) = 0.25.
+
+    Past it the line from the left eye, at 0.09, passes x = 6 at 0.43 and hides the last one, from
+    0.125 to 0.375. Past a body along the row, half as wide, it passes at 0.17.
+    """
+    places = [[0, 0], [3, 0], [6, 0.25]]
+    assert see(places, [EAST, (NAN, NAN), EAST]) == {(0, 1)}
+    assert see(places, [EAST, (0.0, 0.0), EAST]) == {(0, 1)}
+    assert see(places, [EAST, EAST, EAST]) >= {(0, 1), (0, 2)}
 
 
 def test_an_absent_individual_neither_sees_nor_is_seen():
@@ -180,15 +185,21 @@ def slow_visual_field(places, headings, length, width, blind, field, eyes, rays)
                     for j in range(len(places))
                     if j != i
                 ]
-                distance, j = min(hits)
-                if distance < math.inf:
-                    seen.add((i, j))
+                nearest = min(hits)[0]
+                if nearest < math.inf:
+                    seen |= {(i, j) for distance, j in hits if distance == nearest}
     return seen
 
 
 @pytest.mark.parametrize(
     ("eyes", "blind", "field", "spread"),
-    [(2, 30.0, 260.0, 6.0), (2, 0.0, 260.0, 3.0), (2, 200.0, 90.0, 6.0), (1, 90.0, 260.0, 6.0)],
+    [
+        (2, 30.0, 260.0, 6.0),
+        (2, 0.0, 260.0, 3.0),
+        (2, 200.0, 90.0, 6.0),
+        (2, 220.0, 260.0, 6.0),
+        (1, 90.0, 260.0, 6.0),
+    ],
 )
 def test_agrees_with_a_slow_ray_caster(eyes, blind, field, spread):
     """Crowds of 6 in a square of side 6, or 3 where bodies overlap; 40 rays leave many unseen."""
@@ -236,6 +247,14 @@ def test_does_not_depend_on_the_frame_of_reference():
     order = torch.randperm(15, generator=torch.Generator().manual_seed(1))
     relabelled = visual_field_graph(places[:, order], headings[:, order], body_length=1.0)
     assert torch.equal(relabelled, graph[:, order][:, :, order])
+
+
+def test_single_precision_differs_only_where_a_ray_grazes():
+    """Among 4200 pairs, one whose visibility hangs on 1e-6 of an angle is not to be expected."""
+    places, headings = crowd()
+    exact = visual_field_graph(places, headings, body_length=1.0)
+    single = visual_field_graph(places.float(), headings.float(), body_length=1.0)
+    assert (single != exact).sum() <= 1
 
 
 def test_frames_do_not_depend_on_each_other_or_on_portions(monkeypatch):

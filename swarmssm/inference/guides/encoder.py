@@ -50,6 +50,12 @@ class GraphEncoderGuide(SwarmGuide):
     self_weight
         Whether the convolutions have the first term of (3.7), see
         :class:`swarmssm.models.layers.GraphConvolution`.
+
+    Raises
+    ------
+    ValueError
+        If a size is no positive whole number, there are not three widths, or the first of them is
+        smaller than ``state_dim``.
     """
 
     def __init__(
@@ -61,7 +67,9 @@ class GraphEncoderGuide(SwarmGuide):
         self_weight: bool = True,
     ) -> None:
         super().__init__()
-        first, second, third = (int(width) for width in widths)
+        if len(widths) != 3:
+            raise ValueError(f"widths must be three numbers, and there are {len(widths)}")
+        first, second, third = widths
         self.options: dict[str, Any] = {
             "widths": [first, second, third],
             "rounds": rounds,

@@ -1,0 +1,299 @@
+"""Score a fit beside what anybody would try first, on the same frames."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+
+from swarmssm import metrics
+from swarmssm.analysis.evaluation import Evaluation
+from swarmssm.analysis.examples import graph_snapshots, imitation, random_starts
+from swarmssm.analysis.forecasters import (
+    BaselineForecaster,
+    Forecaster,
+    ModelForecaster,
+    law_forecaster,
+)
+from swarmssm.analysis.free_runs import collective_scores
+from swarmssm.analysis.subject import Subject, subject_of
+from swarmssm.analysis.thesis import thesis_table_for
+from swarmssm.errors import InputError
+from swarmssm.inference import Fit
+from swarmssm.models.baselines import BASELINES
+from swarmssm.tracks import Array
+
+__all__ = ["evaluate"]
+
+HORIZONS = (1, 5, 10, 20, 50)
+
+
+def evaluate(
+    fit: Fit,
+    tracks: xr.Dataset,
+    *,
+    horizons: Sequence[int] = HORIZONS,
+    part: str | None = None,
+    free_run_steps: int = 200,
+    origins: int = 40,
+    starts: int = 5,
+    draws: int = 10,
+    seed: int = 0,
+    edges: str = "decoder",
+) -> Evaluation:
+    r"""Score a fit, stay-put, constant velocity and, if it is known, the true rule.
+
+    All are given the same states, each frame knowing of none later, and are scored on what all of
+    them forecast: the same origins, the same individuals. States are scaled with the fit's scaler
+    if that is (3.49), else with (3.49) on the training part, so that fits of the same tracks
+    compare; L of (4.1) is that of the scored part.
+
+    - *One step*: each frame from the frames before it, at the posterior mean.
+    - *K steps*: the expected future of up to ``origins`` frames of each trial, without noise. At
+      each step those count whose truth is known, so that later steps rest on fewer origins.
+    - *Free runs*: with everything drawn, ``draws`` times from each start. The cohesion AMD (4.4)
+      and the alignment AVD (4.5) of the same individuals are compared with the truth's as long as
+      that lasts. The baselines run without noise.
+    - *Edges*: of the next frame's graph, beside "the same as before" and "always the commoner".
+
+    Parameters
+    ----------
+    fit
+        A fit.
+    tracks
+        The tracks it was fitted on, or others.
+    horizons
+        Steps ahead to report; those that the scored part is too short for are left out, and
+        a note says so.
+    part
+        ``"test"``, ``"validation"``, ``"train"`` or ``"all"``. Absent: the test part of the fit's
+        own tracks, and all of any others.
+    free_run_steps
+        Length of the free runs.
+    origins, starts
+        Number of forecasts and of free runs in each trial, spread evenly over it.
+    draws
+        Number of free runs from each start.
+    seed
+        Of all draws.
+    edges
+        Where the model's later graphs come from, see
+        :class:`swarmssm.inference.forecasting.Stepper`.
+
+    Raises
+    ------
+    InputError
+        If an argument is out of range, the tracks do not fit the model, or there is nothing to
+        score.
+
+    References
+    ----------
+    The noise floor is the score of the law that simulated the tracks, run without noise: what is
+    left is noise, and no model can do better than by chance.
+    """
+    _check(horizons, free_run_steps, origins, starts, draws, seed)
+    subject = subject_of(fit, tracks, part)
+    forecasters: list[Forecaster] = [ModelForecaster(subject, edges)]
+    forecasters += [BaselineForecaster(subject, kind()) for kind in BASELINES.values()]
+    law, reason = law_forecaster(subject)
+    notes = [*subject.notes]
+    if law is not None:
+        forecasters.append(law)
+    elif reason:
+        notes.append(reason)
+
+    one_step = {f.name: f.one_step() for f in forecasters}
+    scores, used, more = _forecast_scores(subject, forecasters, one_step, horizons, origins)
+    notes += more
+    collective, more = collective_scores(
+        subject, forecasters, steps=free_run_steps, starts=starts, draws=draws, seed=seed
+    )
+    notes += more
+    settings = {
+        "model": forecasters[0].name,
+        "part": subject.part,
+        "horizons": used,
+        "origins": origins,
+        "free_run_steps": free_run_steps,
+        "starts": starts,
+        "draws": draws,
+        "seed": seed,
+        "edges": edges,
+        "fps": subject.fps,
+        "unit": str(subject.tracks.attrs.get("unit", "")),
+        "thesis": thesis_table_for(subject.tracks),
+        "L": subject.length,
+        "scaler": {
+            "kind": subject.scaler.kind,
+            "offset": list(subject.scaler.offset),
+            "scale": list(subject.scaler.scale),
+        },
+    }
+    model_edges = one_step[forecasters[0].name][1]
+    return Evaluation(
+        scores,
+        collective,
+        _edge_scores(subject, forecasters, one_step),
+        imitation(subject, forecasters[0], one_step[forecasters[0].name][0], seed),
+        graph_snapshots(subject, model_edges),
+        random_starts(subject, edges, steps=free_run_steps, seed=seed),
+        fit.history.set_index("epoch").to_xarray() if len(fit.history) else xr.Dataset(),
+        settings,
+        tuple(notes),
+    )
+
+
+def rolling_origins(
+    mask: npt.NDArray[np.bool_], count: int
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Return trial and row of up to ``count`` frames of each trial to forecast from.
+
+    Frames with somebody in them, and somebody in a later one, spread evenly.
+    """
+    trials, rows = [], []
+    for trial, there in enumerate(mask.any(axis=-1)):
+        usable = np.flatnonzero(there)[:-1]
+        if not usable.size:
+            continue
+        chosen = np.unique(np.linspace(0, usable.size - 1, min(count, usable.size)).round())
+        rows.append(usable[chosen.astype(np.int64)])
+        trials.append(np.full(rows[-1].size, trial))
+    return np.concatenate(trials), np.concatenate(rows)
+
+
+def _forecast_scores(
+    subject: Subject,
+    forecasters: Sequence[Forecaster],
+    one_step: dict[str, tuple[Array, Array | None]],
+    horizons: Sequence[int],
+    origins: int,
+) -> tuple[xr.Dataset, list[int], list[str]]:
+    """Return the errors of one step and of K steps, the horizons used, and notes."""
+    scaler, length = subject.scaler, subject.length
+    truth = scaler.transform(subject.states)
+    single = _common([truth, *(scaler.transform(one_step[f.name][0]) for f in forecasters)])
+    truth, predicted = single[0], single[1:]
+
+    trials, rows = rolling_origins(subject.mask, origins)
+    room = _rooms(subject.mask)[trials] - rows
+    used = [k for k in horizons if k <= room.max()]
+    notes = []
+    if left_out := [k for k in horizons if k not in used]:
+        notes.append(
+            f"The scored part has room for at most {int(room.max())} steps ahead: "
+            f"{', '.join(map(str, left_out))} steps are not scored."
+        )
+    steps = max(used, default=1)
+    ahead = _common(
+        [
+            scaler.transform(subject.ahead(trials, rows, steps)),
+            *(scaler.transform(f.forecasts(trials, rows, steps)) for f in forecasters),
+        ]
+    )
+    errors = [
+        metrics.horizon_errors(ahead[0], forecast, range(1, steps + 1), length=length)
+        for forecast in ahead[1:]
+    ]
+    over_steps = ("method", "step")
+    data = {
+        "mse": ("method", [metrics.mse(truth, p, length) for p in predicted]),
+        "mae": ("method", [metrics.mae(truth, p, length) for p in predicted]),
+        "squared_error": (over_steps, [e.squared_error for e in errors]),
+        "forecast_mse": (over_steps, [e.mse for e in errors]),
+        "forecast_mae": (over_steps, [e.mae for e in errors]),
+        "num_scored": ("step", errors[0].num_scored),
+    }
+    coords = {
+        "method": [f.name for f in forecasters],
+        "title": ("method", [f.title for f in forecasters]),
+        "step": np.arange(1, steps + 1),
+    }
+    return xr.Dataset(data, coords), used, notes
+
+
+def _common(states: Sequence[Array]) -> list[Array]:
+    """Return states with NaN wherever one of them is unknown."""
+    known = np.logical_and.reduce([~np.isnan(s).any(axis=-1) for s in states])
+    return [np.where(known[..., None], s, np.nan) for s in states]
+
+
+def _rooms(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
+    """Return each trial's last row with anybody in it, -1 if there is none."""
+    rows = np.arange(mask.shape[1])
+    last: npt.NDArray[np.int64] = np.where(mask.any(axis=-1), rows, -1).max(axis=-1)
+    return last
+
+
+def _edge_scores(
+    subject: Subject,
+    forecasters: Sequence[Forecaster],
+    one_step: dict[str, tuple[Array, Array | None]],
+) -> xr.Dataset:
+    """Return scores of the next graph by each that says something of it, and by a constant."""
+    pairs = subject.mask[..., :, None] & subject.mask[..., None, :]
+    pairs &= ~np.eye(pairs.shape[-1], dtype=bool)
+    truth = np.where(pairs, subject.adjacency.astype(np.float64), np.nan)
+    predicted: dict[str, tuple[str, Array]] = {}
+    for forecaster in forecasters:
+        edges = one_step[forecaster.name][1]
+        if edges is not None:
+            title = forecaster.title
+            if forecaster.name == "stay-put":
+                title = "same graph as before"
+            elif forecaster.name == "constant-velocity":
+                title = "graph rule on constant velocity"
+            predicted[forecaster.name] = (title, edges)
+    commoner = bool(np.nanmean(truth) > 0.5) if pairs.any() else False
+    predicted["commoner"] = (
+        "every edge, always" if commoner else "no edge, ever",
+        np.full_like(truth, float(commoner)),
+    )
+    for _, edges in predicted.values():
+        truth = np.where(np.isnan(edges), np.nan, truth)
+    rows: dict[str, list[Array]] = {n: [] for n in ("accuracy", "precision", "recall", "auc")}
+    for _, edges in predicted.values():
+        rows["accuracy"].append(metrics.edge_accuracy(truth, edges))
+        rows["precision"].append(metrics.edge_precision(truth, edges))
+        rows["recall"].append(metrics.edge_recall(truth, edges))
+        rows["auc"].append(metrics.edge_auc(truth, edges))
+    dims = ("predictor", "trial", "time")
+    scored = ~np.isnan(truth)
+    count = scored.sum(axis=(-2, -1))
+    density = np.full(count.shape, np.nan)
+    np.divide((truth == 1).sum(axis=(-2, -1)), count, out=density, where=count > 0)
+    coords: dict[str, Any] = {
+        "predictor": list(predicted),
+        "title": ("predictor", [title for title, _ in predicted.values()]),
+        "trial": subject.tracks["trial"].to_numpy(),
+        "time": subject.tracks["time"].to_numpy(),
+    }
+    data = {name: (dims, np.stack(values)) for name, values in rows.items()}
+    return xr.Dataset({**data, "density": (("trial", "time"), density)}, coords)
+
+
+def _check(
+    horizons: Sequence[int],
+    free_run_steps: int,
+    origins: int,
+    starts: int,
+    draws: int,
+    seed: int,
+) -> None:
+    """Refuse arguments that are out of range."""
+    steps = [int(k) for k in horizons]
+    if not steps or min(steps) < 1 or any(b <= a for a, b in zip(steps, steps[1:], strict=False)):
+        raise InputError(
+            f"horizons: give rising whole numbers of steps from 1 upwards, not {list(horizons)}."
+        )
+    counts = {
+        "free_run_steps": free_run_steps,
+        "origins": origins,
+        "starts": starts,
+        "draws": draws,
+    }
+    for name, value in counts.items():
+        if value < 1:
+            raise InputError(f"{name}: it must be at least 1, and it is {value}.")
+    if seed < 0:
+        raise InputError(f"seed: it must not be negative, and it is {seed}.")

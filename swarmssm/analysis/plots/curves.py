@@ -1,0 +1,154 @@
+"""Scores over time, over epochs and over steps ahead."""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from swarmssm.analysis.plots.style import LINE_STYLES, colour_of, new_axes, new_grid
+
+__all__ = ["plot_collective", "plot_horizon_errors", "plot_training"]
+
+HORIZON_LABELS = {
+    "squared_error": "mean squared error (scaled)",
+    "forecast_mse": "MSE (4.2)",
+    "forecast_mae": "MAE (4.3)",
+}
+
+
+def plot_collective(
+    collective: xr.Dataset, ax: Axes | None = None, *, score: str = "amd", unit: str = ""
+) -> tuple[Figure, Axes]:
+    """Draw AMD or AVD of free runs over time (figs 4.7, 4.8).
+
+    Parameters
+    ----------
+    collective
+        With ``amd (series, time)``, ``amd_low`` and ``amd_high``, or the same of ``avd``.
+    ax
+        Where to draw; new axes if absent.
+    score
+        ``"amd"`` or ``"avd"``.
+    unit
+        Unit of length.
+
+    Returns
+    -------
+    Figure and axes: a line a series, with a band for the truth and the model. Where a run left all
+    bounds there is a gap.
+    """
+    figure, ax = new_axes(ax)
+    seconds = collective["time"].to_numpy()
+    for name, title in zip(collective["series"].values, collective["title"].values, strict=True):
+        chosen = collective.sel(series=name)
+        line = _finite(chosen[score])
+        colour = colour_of(str(name))
+        banded = str(name) not in ("stay-put", "constant-velocity", "noise-floor")
+        if banded:
+            low, high = _finite(chosen[f"{score}_low"]), _finite(chosen[f"{score}_high"])
+            ax.fill_between(seconds, low, high, color=colour, alpha=0.18, linewidth=0)
+        ax.plot(
+            seconds,
+            line,
+            color=colour,
+            linestyle=LINE_STYLES.get(str(name), "-"),
+            linewidth=2.0 if banded else 1.4,
+            label=str(title),
+        )
+    ax.set_xlabel("time since the start of the run (s)")
+    measure = f"{unit}/s" if score == "avd" and unit else ("1/s" if score == "avd" else unit)
+    name = {"amd": "AMD", "avd": "AVD"}[score]
+    ax.set_ylabel(f"{name} ({measure})" if unit else name)
+    ax.set_ylim(bottom=0.0)
+    ax.legend(frameon=False, fontsize=8)
+    return figure, ax
+
+
+def plot_horizon_errors(
+    scores: xr.Dataset, ax: Axes | None = None, *, score: str = "forecast_mse"
+) -> tuple[Figure, Axes]:
+    """Draw the error at each number of steps ahead (figs 4.11, 4.12).
+
+    Parameters
+    ----------
+    scores
+        With ``score (method, step)`` and the coordinate ``title (method)``.
+    ax
+        Where to draw; new axes if absent.
+    score
+        ``"forecast_mse"``, ``"forecast_mae"`` or ``"squared_error"``.
+
+    Returns
+    -------
+    Figure and axes with a logarithmic error axis; an error of 0 or infinity is a gap.
+    """
+    figure, ax = new_axes(ax)
+    steps = scores["step"].to_numpy()
+    for name, title in zip(scores["method"].values, scores["title"].values, strict=True):
+        error = _finite(scores[score].sel({"method": name}))
+        error = np.where(error > 0, error, np.nan)
+        ax.plot(
+            steps,
+            error,
+            color=colour_of(str(name)),
+            linestyle=LINE_STYLES.get(str(name), "-"),
+            linewidth=1.6,
+            label=str(title),
+            marker="o" if len(steps) == 1 else None,
+        )
+    ax.set_yscale("log")
+    ax.set_xlabel("steps ahead K")
+    ax.set_ylabel(HORIZON_LABELS[score])
+    ax.legend(frameon=False, fontsize=8)
+    return figure, ax
+
+
+def plot_training(
+    history: xr.Dataset, axes: npt.NDArray[Any] | None = None
+) -> tuple[Figure, npt.NDArray[Any]]:
+    """Draw the course of training (figs 4.9, 4.10): loss, MSE and MAE over epochs.
+
+    Parameters
+    ----------
+    history
+        Over ``epoch``: ``loss``, ``validation_loss``, ``mse``, ``mae``; what is absent is left
+        out.
+    axes
+        Three axes; new ones if absent.
+
+    Returns
+    -------
+    Figure and axes ``(3,)``. Errors have a logarithmic axis. The loss, a negative evidence lower
+    bound that may fall below 0, has one that is logarithmic on both sides of 0.
+    """
+    figure, grid = new_grid(axes, 1, 3, (9.6, 3.1))
+    epochs = history["epoch"].to_numpy()
+    loss, *errors = grid[0]
+    for name, title, style in (
+        ("loss", "training", "-"),
+        ("validation_loss", "validation", "--"),
+    ):
+        if name in history and np.isfinite(history[name]).any():
+            colour = colour_of("") if name == "loss" else colour_of("constant-velocity")
+            loss.plot(epochs, history[name], style, color=colour, linewidth=1.5, label=title)
+    loss.set_yscale("symlog", linthresh=1.0)
+    loss.set_ylabel("loss (nats per coordinate)")
+    loss.legend(frameon=False, fontsize=8)
+    for ax, name, title in zip(errors, ("mse", "mae"), ("MSE (4.2)", "MAE (4.3)"), strict=True):
+        if name in history:
+            ax.plot(epochs, history[name], color=colour_of(""), linewidth=1.5, label="training")
+            if (history[name] > 0).any():
+                ax.set_yscale("log")
+        ax.set_ylabel(title)
+    for ax in grid[0]:
+        ax.set_xlabel("epoch")
+    return figure, grid[0]
+
+
+def _finite(values: xr.DataArray) -> npt.NDArray[np.float64]:
+    """Return numbers with NaN in place of infinity."""
+    array = values.to_numpy().astype(np.float64)
+    return np.where(np.isfinite(array), array, np.nan)

@@ -1,0 +1,113 @@
+"""How all figures look: one colour a method everywhere, readable to the colour-blind."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+__all__ = [
+    "LINE_STYLES",
+    "colour_of",
+    "individual_colours",
+    "label_axes",
+    "new_axes",
+    "new_grid",
+]
+
+Colour = str | tuple[float, ...]
+
+#: Okabe and Ito's colours, darkened where they would fade on white; all are seen on black too.
+COLOURS = {
+    "truth": "#7f7f7f",
+    "stay-put": "#b8860b",
+    "constant-velocity": "#cc5f00",
+    "noise-floor": "#009e73",
+    "commoner": "#7f7f7f",
+}
+MODEL_COLOUR = "#2f86c6"
+LINE_STYLES = {
+    "truth": "-",
+    "stay-put": ":",
+    "constant-velocity": "--",
+    "noise-floor": "-.",
+    "commoner": (0, (1, 3)),
+}
+INDIVIDUALS = (
+    "#2f86c6",
+    "#cc5f00",
+    "#009e73",
+    "#c4679b",
+    "#b8860b",
+    "#5c7fb8",
+    "#a0522d",
+    "#6b8e23",
+    "#8a6fc8",
+    "#7f7f7f",
+)
+
+
+def colour_of(method: str) -> str:
+    """Return the colour of a method, the same in every figure; the model has what is left."""
+    return COLOURS.get(method, MODEL_COLOUR)
+
+
+def individual_colours(count: int) -> list[str]:
+    """Return a colour for each individual, repeated beyond ten."""
+    return [INDIVIDUALS[index % len(INDIVIDUALS)] for index in range(count)]
+
+
+def new_axes(ax: Axes | None, size: tuple[float, float] = (6.4, 3.6)) -> tuple[Figure, Axes]:
+    """Return the given axes with their figure, or new ones without touching pyplot."""
+    if ax is None:
+        figure = Figure(figsize=size, layout="constrained")
+        return figure, figure.add_subplot()
+    return figure_of(ax), ax
+
+
+def new_grid(
+    axes: npt.NDArray[Any] | None,
+    rows: int,
+    columns: int,
+    size: tuple[float, float],
+    **shared: Any,
+) -> tuple[Figure, npt.NDArray[Any]]:
+    """Return the given axes ``(rows, columns)`` with their figure, or new ones."""
+    if axes is None:
+        figure = Figure(figsize=size, layout="constrained")
+        return figure, figure.subplots(rows, columns, squeeze=False, **shared)
+    given = np.asarray(axes, dtype=object)
+    if given.size != rows * columns:
+        raise ValueError(f"axes: {rows * columns} are needed, and {given.size} are given")
+    given = given.reshape(rows, columns)
+    return figure_of(given[0, 0]), given
+
+
+def figure_of(ax: Axes) -> Figure:
+    """Return the figure that axes belong to, also from within a sub-figure."""
+    figure = ax.get_figure(root=True) if _knows_root() else ax.figure
+    if not isinstance(figure, Figure):
+        raise ValueError("ax: these axes belong to no figure")
+    return figure
+
+
+def _knows_root() -> bool:
+    """Return whether this matplotlib can tell a sub-figure from its figure (3.10 and later)."""
+    import inspect
+
+    return "root" in inspect.signature(Axes.get_figure).parameters
+
+
+def label_axes(ax: Axes, coordinates: list[str], unit: str) -> None:
+    """Label space axes, and draw both to the same scale."""
+    for name, setter in zip(coordinates, (ax.set_xlabel, ax.set_ylabel), strict=False):
+        setter(f"{name} ({unit})" if unit else name)
+    ax.set_aspect("equal", adjustable="datalim")
+
+
+def pairs(array: npt.NDArray[Any]) -> Iterator[tuple[int, int]]:
+    """Return the index pairs at which a matrix is not zero."""
+    for i, j in np.argwhere(array):
+        yield int(i), int(j)

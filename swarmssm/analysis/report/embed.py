@@ -1,0 +1,60 @@
+"""Figures as parts of a page: vector graphics that take the page's own ink, light or dark."""
+
+import html
+import io
+import re
+
+import matplotlib
+import matplotlib.style
+from markupsafe import Markup
+from matplotlib.figure import Figure
+
+__all__ = ["as_svg", "house_style"]
+
+#: Pixels per inch of what is drawn as pixels inside a vector figure.
+DPI = 160
+
+
+def house_style() -> object:
+    """Return a context in which figures are drawn in matplotlib's own style.
+
+    What the user's configuration says of colours would not fit the page.
+    """
+    return matplotlib.style.context("default")
+
+
+def as_svg(figure: Figure, name: str, alt: str) -> Markup:
+    """Return a figure as an SVG element to stand in a page.
+
+    Parameters
+    ----------
+    figure
+        What to draw. Black becomes the page's own colour of text, white the page itself.
+    name
+        Unlike that of any other figure on the page: the names inside start with it.
+    alt
+        What the figure shows, for those who do not see it.
+    """
+    stream = io.StringIO()
+    # Text stays text; and the same figure gives the same bytes.
+    options = {"svg.fonttype": "none", "svg.hashsalt": name}
+    nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+    with matplotlib.rc_context(options):
+        figure.savefig(stream, format="svg", metadata=nothing, transparent=True, dpi=DPI)
+    text = stream.getvalue()
+    text = text[text.index("<svg") :]
+    opening, _, rest = text.partition(">")
+    box = re.search(r'viewBox="([^"]+)"', opening)
+    width = float(box[1].split()[2]) if box else 0.0
+    head = (
+        f'<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" '
+        f'viewBox="{box[1] if box else "0 0 100 100"}" role="img" '
+        f'aria-label="{html.escape(alt)}" style="width: {width * 4 / 3:.0f}px">'
+        f"<title>{html.escape(alt)}</title>"
+    )
+    rest = re.sub(r'(font(?:-family)?: *[^;"]*?)\'DejaVu Sans\'[^;"]*', r"\1sans-serif", rest)
+    rest = re.sub(r"(stroke|fill): #000000", r"\1: currentColor", rest)
+    # Names are made unlike those of other figures; a figure's own do not clash.
+    rest = re.sub(r'\bid="', f'id="{name}-', rest)
+    rest = re.sub(r'(href="#|url\(#)', rf"\g<1>{name}-", rest)
+    return Markup(head + rest)  # noqa: S704

@@ -1,0 +1,406 @@
+"""What is to be seen, in words that follow from the numbers."""
+
+import math
+
+import numpy as np
+import xarray as xr
+
+from swarmssm import metrics
+from swarmssm.analysis.evaluation import Evaluation
+from swarmssm.analysis.table import format_number as number
+
+__all__ = [
+    "collective_sentence",
+    "edge_sentence",
+    "graphs_sentence",
+    "horizon_sentence",
+    "imitation_sentence",
+    "one_step_sentence",
+    "random_starts_sentence",
+    "snapshots_sentence",
+    "training_sentence",
+    "verdict",
+]
+
+#: Numbers that differ by less than this share of the larger are called equal.
+ALIKE = 0.05
+SIMPLE = ("stay-put", "constant-velocity")
+
+
+def verdict(evaluation: Evaluation) -> tuple[str, list[str]]:
+    """Return one sentence that sums up, and one each on what it rests on."""
+    model = title_of(evaluation, evaluation.model)
+    judged = {
+        "one step ahead": better(*_model_and_rival(evaluation, "mse")),
+        _far_words(evaluation): better(
+            *_model_and_rival(evaluation, "squared_error", _farthest(evaluation))
+        ),
+        "in the next graph": _judge_edges(evaluation),
+        "in how close a free run keeps": better(*_model_and_rival(evaluation, "amd_error")),
+        "in how alike a free run heads": better(*_model_and_rival(evaluation, "avd_error")),
+    }
+    won = [name for name, result in judged.items() if result == 1]
+    lost = [name for name, result in judged.items() if result == -1]
+    tied = [name for name, result in judged.items() if result == 0]
+    if not (won or lost or tied):
+        return f"Nothing could be scored for {model}.", []
+    if not lost and not tied:
+        summary = f"{model} beats its simplest rivals {_list(won)}."
+    elif not won:
+        summary = f"{model} beats its simplest rivals nowhere"
+        summary += f": it loses {_list(lost)}" if lost else ""
+        summary += f", and ties {_list(tied)}" if tied and lost else ""
+        summary += f": it ties {_list(tied)}." if tied and not lost else "."
+    else:
+        summary = f"{model} beats its simplest rivals {_list(won)}"
+        summary += f"; it loses {_list(lost)}" if lost else ""
+        summary += f"; it ties {_list(tied)}" if tied else ""
+        summary += "."
+    sentences = [
+        one_step_sentence(evaluation),
+        horizon_sentence(evaluation),
+        edge_sentence(evaluation),
+        collective_sentence(evaluation, "amd"),
+        collective_sentence(evaluation, "avd"),
+    ]
+    return capital(summary), [s for s in sentences if s]
+
+
+def one_step_sentence(evaluation: Evaluation) -> str:
+    """Say who predicts one step best, and how far the noise floor is."""
+    model = title_of(evaluation, evaluation.model)
+    own, rival, name = _named_rival(evaluation, "mse")
+    if math.isnan(own):
+        return ""
+    if math.isnan(rival):
+        text = f"One step ahead, {model} has an MSE of {number(own)}"
+    else:
+        result = better(own, rival)
+        if result == 0:
+            text = (
+                f"One step ahead, {model} and {name} do equally well (MSE {number(own)} and "
+                f"{number(rival)})"
+            )
+        else:
+            winner, loser = (model, name) if result == 1 else (name, model)
+            low, high = sorted((own, rival))
+            text = (
+                f"{capital(winner)} has the lower one-step error: MSE {number(low)} against "
+                f"{number(high)} for {loser}"
+            )
+    floor = evaluation.score("mse", "noise-floor")
+    if floor > 0 and math.isfinite(own):
+        ratio = own / floor
+        text += (
+            f"; the noise floor is {number(floor)}"
+            if ratio < 1 + ALIKE
+            else f"; the noise floor, {number(floor)}, is {times(ratio)} below {model}"
+        )
+    return text + "."
+
+
+def horizon_sentence(evaluation: Evaluation) -> str:
+    """Say from how many steps on the model beats constant velocity and stay-put."""
+    scores, model = evaluation.scores, evaluation.model
+    own = scores["squared_error"].sel({"method": model}).to_numpy()
+    rivals = [m for m in SIMPLE if m in scores["method"]]
+    best = np.min([scores["squared_error"].sel({"method": m}).to_numpy() for m in rivals], axis=0)
+    steps = scores["step"].to_numpy()
+    known = ~(np.isnan(own) | np.isnan(best))
+    if not known.any():
+        return ""
+    words = "stay put and constant velocity"
+    title = title_of(evaluation, model)
+    below = own[known] < best[known]
+    steps = steps[known]
+    last = int(steps[-1])
+    end = f"{number(float(own[known][-1]))} against {number(float(best[known][-1]))}"
+    far = f"at {last} step{'s' * (last > 1)} its squared error is {end} for the better of them"
+    if below.all():
+        text = f"{capital(title)} errs less than {words} at every number of steps up to {last}"
+    elif not below.any():
+        text = f"{capital(title)} errs more than {words} at every number of steps up to {last}"
+    elif below[-1] and (np.diff(below.astype(int)) != 0).sum() == 1:
+        first = int(steps[np.argmax(below)])
+        text = f"{capital(title)} errs less than {words} only from {first} steps ahead on"
+    elif not below[-1] and (np.diff(below.astype(int)) != 0).sum() == 1:
+        first = int(steps[np.argmin(below)])
+        text = f"{capital(title)} errs less than {words} only below {first} steps ahead"
+    else:
+        text = (
+            f"{capital(title)} errs less than {words} at {int(below.sum())} of {len(below)} numbers "
+            "of steps ahead"
+        )
+    return f"{text}; {far}."
+
+
+def edge_sentence(evaluation: Evaluation) -> str:
+    """Say how much of the next graph is predicted rightly, beside what needs no model."""
+    model = evaluation.model
+    own = evaluation.edge_score("accuracy", model)
+    if math.isnan(own):
+        return ""
+    titles = dict(
+        zip(
+            (str(v) for v in evaluation.edges["predictor"].values),
+            (str(v) for v in evaluation.edges["title"].values),
+            strict=True,
+        )
+    )
+    others = [
+        f"{titles[name]} {percent(evaluation.edge_score('accuracy', name))}"
+        for name in ("stay-put", "commoner")
+        if name in titles
+    ]
+    auc = evaluation.edge_score("auc", model)
+    text = (
+        f"{capital(title_of(evaluation, model))} is right on {percent(own)} of the pairs of the "
+        f"next graph; {_list(others)}"
+    )
+    if not math.isnan(auc):
+        text += f" (AUC {number(auc)}, where 0.5 knows nothing)"
+    return text + "."
+
+
+def collective_sentence(evaluation: Evaluation, score: str) -> str:
+    """Say whether free runs hold together (AMD) or head alike (AVD) as the truth does."""
+    own = evaluation.score(f"{score}_mean", evaluation.model)
+    true = evaluation.score(f"{score}_mean", "truth")
+    if math.isnan(own) or math.isnan(true):
+        return ""
+    unit = evaluation.settings["unit"]
+    measure = f" {unit}" if unit and score == "amd" else (f" {unit}/s" if unit else "")
+    model = title_of(evaluation, evaluation.model)
+    if math.isinf(own):
+        return f"Free runs of {model} leave all bounds."
+    if score == "amd":
+        what = "the mean distance to the nearest neighbour"
+        low, high = "its groups are tighter than the true one", "its groups are looser"
+    else:
+        what = "the mean difference of two velocities"
+        low, high = "its members move more alike than the true ones", "they move less alike"
+    if better(own, true) == 0:
+        compared = "as in the truth"
+    else:
+        compared = low if own < true else high
+    error = evaluation.score(f"{score}_error", evaluation.model)
+    own_error, rival, name = _named_rival(evaluation, f"{score}_error")
+    text = (
+        f"In free runs of {model} {what} ({score.upper()}) is {number(own)}{measure}, where the "
+        f"truth has {number(true)}: {compared}. Over time it is off by {number(error)}"
+    )
+    result = better(own_error, rival)
+    if result is not None:
+        words = {1: "closer than", 0: "as close as", -1: "farther off than"}[result]
+        text += f", {words} {name} ({number(rival)})"
+    return text + "."
+
+
+def imitation_sentence(evaluation: Evaluation) -> str:
+    """Say how far imitated paths lie from the true ones."""
+    data = evaluation.imitation
+    true, single, free = (data[n].transpose("time", "individual", "space").to_numpy() for n in (
+        "true", "one_step", "free_run"))
+    unit = data.attrs.get("unit", "")
+    step = _mean_distance(single, true)
+    moved = _mean_distance(true[:-1], true[1:])
+    late = slice(-max(1, len(true) // 10), None)
+    end, still = _mean_distance(free[late], true[late]), _mean_distance(
+        np.broadcast_to(true[0], true[late].shape), true[late]
+    )
+    if math.isnan(step):
+        return ""
+    text = (
+        f"One step at a time the imitated positions are {quantity(step, unit)} off on average, "
+        f"where the individuals themselves move {quantity(moved, unit)} a step."
+    )
+    if not math.isnan(end) and len(true) > 1:
+        seconds = float(data["time"][-1])
+        text += (
+            f" Running freely they are {quantity(end, unit)} off after {number(seconds)} s; had "
+            f"nobody moved from the start, it would be {quantity(still, unit)}."
+        )
+    return text
+
+
+def snapshots_sentence(evaluation: Evaluation) -> str:
+    """Say whether the free run is as tight and as ordered as the truth at its end."""
+    data = evaluation.imitation.isel(time=slice(-1, None))
+    words = []
+    for name, word in (("true", "the true group"), ("free_run", "the imitated one")):
+        position = data[name].transpose("time", "individual", "space").to_numpy()
+        velocity = data[f"{name}_velocity"].transpose("time", "individual", "space").to_numpy()
+        distance, order = metrics.amd(position)[0], metrics.polarization(velocity)[0]
+        if math.isnan(distance) or math.isnan(order):
+            return ""
+        unit = data.attrs.get("unit", "")
+        words.append(
+            f"{word} keeps {quantity(float(distance), unit)} from neighbour to neighbour with a "
+            f"polarization of {number(float(order))}"
+        )
+    seconds = float(data["time"][-1])
+    return f"After {number(seconds)} s {words[0]}, {words[1]} (1: all head one way)."
+
+
+def graphs_sentence(evaluation: Evaluation) -> str:
+    """Count true, predicted and common edges of the snapshots."""
+    data = evaluation.graphs
+    probability = data["probability"].to_numpy()
+    pairs = ~np.isnan(probability) & ~np.eye(probability.shape[-1], dtype=bool)
+    if not pairs.any():
+        return "No graph was predicted for these frames."
+    true = data["true"].to_numpy().astype(bool) & pairs
+    claimed = (np.where(pairs, probability, 0.0) >= 0.5) & pairs
+    right = (true == claimed)[pairs].mean()
+    return (
+        f"In the {data.sizes['snapshot']} graphs shown there are {true.sum()} edges, and "
+        f"{claimed.sum()} are predicted, of which {(true & claimed).sum()} are true; "
+        f"{percent(float(right))} of all pairs are right."
+    )
+
+
+def training_sentence(history: xr.Dataset) -> str:
+    """Say how far the loss fell, whether it was still falling, and which weights were kept."""
+    if "loss" not in history or history.sizes.get("epoch", 0) == 0:
+        return "The course of training is not known."
+    loss = history["loss"].to_numpy()
+    epochs = history["epoch"].to_numpy()
+    text = (
+        f"The loss fell from {number(float(loss[0]))} to {number(float(loss[-1]))} nats per "
+        f"coordinate in {int(epochs[-1])} epochs"
+        if loss[-1] < loss[0]
+        else f"The loss did not fall: {number(float(loss[0]))} at first, "
+        f"{number(float(loss[-1]))} nats per coordinate after {int(epochs[-1])} epochs"
+    )
+    late = loss[-max(2, len(loss) // 10) :]
+    fallen, last = float(loss[0] - loss[-1]), float(late[0] - late[-1])
+    if len(loss) > 2 and fallen > 0:
+        text += (
+            f"; in the last tenth it still fell by {number(last)}, so that longer training may help"
+            if last > 0.02 * fallen
+            else "; at the end it hardly fell any more"
+        )
+    if "validation_loss" in history and np.isfinite(history["validation_loss"]).any():
+        watched = history["validation_loss"].to_numpy()
+        best = int(np.nanargmin(watched))
+        text += (
+            ", and the weights are those of the last epoch"
+            if best == len(watched) - 1
+            else f", and the weights are those of epoch {int(epochs[best])}, where the validation "
+            "loss was least"
+        )
+    return text + "."
+
+
+def random_starts_sentence(evaluation: Evaluation) -> str:
+    """Say what becomes of groups that start at random."""
+    runs = evaluation.random_starts
+    position = runs["position"].transpose("run", "time", "individual", "space").to_numpy()
+    velocity = runs["velocity"].transpose("run", "time", "individual", "space").to_numpy()
+    unit = runs.attrs.get("unit", "")
+    distance = metrics.amd(position)
+    order = metrics.polarization(velocity)
+    if np.isnan(distance[:, 0]).all():
+        return ""
+    start, order_start = float(np.nanmean(distance[:, 0])), float(np.nanmean(order[:, 0]))
+    if np.isnan(distance[:, -1]).all() or np.isnan(order[:, -1]).all():
+        return "All runs from random starts left all bounds."
+    end, order_end = float(np.nanmean(distance[:, -1])), float(np.nanmean(order[:, -1]))
+    true = evaluation.score("amd_mean", "truth")
+    seconds = float(runs["time"][-1])
+    text = (
+        f"From random places and headings, the distance to the nearest neighbour goes from "
+        f"{quantity(start, unit)} to {quantity(end, unit)} in {number(seconds)} s"
+    )
+    text += "" if math.isnan(true) else f" (true group: {quantity(true, unit)})"
+    return f"{text}, the polarization from {number(order_start)} to {number(order_end)}."
+
+
+def better(own: float, rival: float) -> int | None:
+    """Return 1 if the first error is lower, -1 if higher, 0 if alike, None if one is unknown."""
+    if math.isnan(own) or math.isnan(rival):
+        return None
+    if own == rival or (
+        math.isfinite(own) and math.isfinite(rival) and abs(own - rival) <= ALIKE * max(own, rival)
+    ):
+        return 0
+    return 1 if own < rival else -1
+
+
+def title_of(evaluation: Evaluation, method: str) -> str:
+    """Return the words for a method."""
+    return str(evaluation.scores["title"].sel({"method": method}).item())
+
+
+def capital(text: str) -> str:
+    """Return a text that starts a sentence, names such as graph-vae being left alone."""
+    first = text.split(" ", 1)[0]
+    return text if "-" in first else text[:1].upper() + text[1:]
+
+
+def percent(share: float) -> str:
+    """Return a share in percent."""
+    return f"{100 * share:.1f} %" if not math.isnan(share) else "–"
+
+
+def times(ratio: float) -> str:
+    """Return how many times."""
+    return f"{number(ratio, 2 if ratio < 100 else 3)} times"
+
+
+def quantity(value: float, unit: str) -> str:
+    """Return a number with its unit."""
+    return f"{number(value)} {unit}".rstrip()
+
+
+def _mean_distance(first: np.ndarray, second: np.ndarray) -> float:
+    """Return the mean distance of places where both are known; NaN if nowhere."""
+    distance = np.linalg.norm(first - second, axis=-1)
+    known = np.isfinite(distance)
+    return float(distance[known].mean()) if known.any() else math.nan
+
+
+def _named_rival(
+    evaluation: Evaluation, score: str, step: int | None = None
+) -> tuple[float, float, str]:
+    """Return the model's error, that of the better simple rival, and the rival's title."""
+    own = evaluation.score(score, evaluation.model, step)
+    rivals = {name: evaluation.score(score, name, step) for name in SIMPLE}
+    known = {name: value for name, value in rivals.items() if not math.isnan(value)}
+    if not known:
+        return own, math.nan, ""
+    name = min(known, key=lambda key: known[key])
+    return own, known[name], title_of(evaluation, name)
+
+
+def _model_and_rival(
+    evaluation: Evaluation, score: str, step: int | None = None
+) -> tuple[float, float]:
+    """Return the model's error and that of the better simple rival."""
+    return _named_rival(evaluation, score, step)[:2]
+
+
+def _judge_edges(evaluation: Evaluation) -> int | None:
+    """Compare wrong pairs of the model with those of the better of two that need no model."""
+    wrong = [
+        1 - evaluation.edge_score("accuracy", name)
+        for name in (evaluation.model, "stay-put", "commoner")
+    ]
+    return better(wrong[0], float(np.nanmin(wrong[1:])) if not np.isnan(wrong[1:]).all() else math.nan)
+
+
+def _farthest(evaluation: Evaluation) -> int:
+    """Return the longest horizon."""
+    horizons = evaluation.settings["horizons"]
+    return max(horizons) if horizons else int(evaluation.scores["step"][-1])
+
+
+def _far_words(evaluation: Evaluation) -> str:
+    """Return the longest horizon in words."""
+    steps = _farthest(evaluation)
+    return f"{steps} step{'s' * (steps > 1)} ahead" + (" (rolling)" if steps == 1 else "")
+
+
+def _list(words: list[str]) -> str:
+    """Return words joined as in a sentence."""
+    return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1]

@@ -1,0 +1,74 @@
+"""The command as a whole: subcommands, exit statuses, and errors as sentences."""
+
+import os
+import sys
+import warnings
+from typing import Annotated
+
+import typer
+
+from swarmssm import __version__
+from swarmssm.cli.demo import demo
+from swarmssm.cli.fitting import fit
+from swarmssm.cli.running import evaluate, forecast, report, rollout
+from swarmssm.cli.simulating import simulate
+from swarmssm.cli.tracks import import_tracks, info
+from swarmssm.errors import SwarmssmError
+
+__all__ = ["app", "main"]
+
+app = typer.Typer(
+    name="swarmssm",
+    help="Learn how the members of a group move each other, from their tracks alone.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+app.command("demo")(demo)
+app.add_typer(simulate, name="simulate")
+app.command("import")(import_tracks)
+app.command("info")(info)
+app.command("fit")(fit)
+app.command("evaluate")(evaluate)
+app.command("forecast")(forecast)
+app.command("rollout")(rollout)
+app.command("report")(report)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"swarmssm {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_print_version, is_eager=True, help="Say the version."),
+    ] = False,
+) -> None:
+    """Learn how the members of a group move each other, from their tracks alone."""
+
+
+def main() -> None:
+    """Run the command; exit with 0 done, 1 the work failed, 2 the call or the input is wrong."""
+    # Libraries warn about their own future; a user of the command can do nothing about it.
+    warnings.filterwarnings("ignore", category=FutureWarning)
+    warnings.filterwarnings("ignore", category=DeprecationWarning)
+    try:
+        app()
+    except SwarmssmError as error:
+        _fail(str(error), error.exit_status)
+    except MemoryError:
+        _fail("there is not enough memory for this; take fewer individuals, frames or draws.", 1)
+    except BrokenPipeError:
+        # The reader of our output went away (for instance `| head`): nothing is left to be said.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+
+
+def _fail(sentence: str, status: int) -> None:
+    sys.stdout.flush()
+    typer.echo(f"swarmssm: {sentence}", err=True)
+    sys.exit(status)

@@ -1,0 +1,114 @@
+"""``swarmssm fit``: from tracks to a run folder."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from swarmssm.cli.console import Overwrite, Seed, named_values, print_table, say, training_progress
+
+__all__ = ["fit"]
+
+Options = Annotated[
+    list[str] | None,
+    typer.Option(metavar="NAME=VALUE", help="An argument of its constructor; repeatable."),
+]
+
+
+def fit(
+    file: Annotated[Path, typer.Argument(help="Tracks: NetCDF, or any file import can read.")],
+    out: Annotated[Path, typer.Option(help="Run folder to write.")],
+    model: Annotated[
+        str, typer.Option(help="Name of a model, or module:attribute of your own.")
+    ] = "graph-vae",
+    guide: Annotated[
+        str, typer.Option(help="Name of a guide, or module:attribute of your own.")
+    ] = "encoder",
+    steps: Annotated[
+        int | None, typer.Option(help="Steps of the optimiser, rounded up to whole epochs.")
+    ] = None,
+    epochs: Annotated[
+        int | None, typer.Option(help="Passes over the training part. Default: the model's own.")
+    ] = None,
+    seed: Seed = 0,
+    lr: Annotated[float, typer.Option(help="Learning rate of Adam.")] = 0.005,
+    schedule: Annotated[str, typer.Option(help="Learning rate: cosine or constant.")] = "cosine",
+    window: Annotated[
+        int | None, typer.Option(help="Frames in a window; 0 for whole trials. Default: 20.")
+    ] = None,
+    batch_windows: Annotated[
+        int | None, typer.Option(help="Windows in a mini-batch; 0 for all. Default: a sixteenth.")
+    ] = None,
+    graph: Annotated[
+        str,
+        typer.Option(
+            help="auto, data, or radius:2.5, k-nearest:6, visual:body_length=1, complete."
+        ),
+    ] = "auto",
+    velocity: Annotated[str, typer.Option(help="auto, difference or kalman.")] = "auto",
+    scaler: Annotated[str, typer.Option(help="minmax, isotropic or none.")] = "minmax",
+    split_by: Annotated[str, typer.Option(help="auto, time or trial.")] = "auto",
+    patience: Annotated[
+        int | None,
+        typer.Option(help="Stop after so many rows of the history without a better validation."),
+    ] = None,
+    device: Annotated[str, typer.Option(help="cpu, cuda or auto.")] = "cpu",
+    model_option: Options = None,
+    guide_option: Options = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="NAME=VALUE", help="Any other setting, for instance --set gap=10."
+        ),
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with an interrupted fit in OUT.")
+    ] = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Fit a model to tracks by variational inference, into a run folder."""
+    from swarmssm import inference, io
+
+    given: dict[str, Any] = {
+        "steps": steps,
+        "epochs": epochs,
+        "seed": seed,
+        "lr": lr,
+        "schedule": schedule,
+        "graph": graph,
+        "velocity": velocity,
+        "scaler": scaler,
+        "split_by": split_by,
+        "patience": patience,
+        "device": device,
+        "model_options": named_values(model_option or [], "--model-option"),
+        "guide_options": named_values(guide_option or [], "--guide-option"),
+        **named_values(settings or [], "--set"),
+    }
+    for name, value in (("window", window), ("batch_windows", batch_windows)):
+        if value is not None:
+            given[name] = value or None
+    tracks = io.read(file)
+    with training_progress(f"{file.name}: {model}") as show:
+        fitted = inference.fit(
+            model,
+            guide,
+            tracks,
+            source=file,
+            out=out,
+            resume=resume,
+            overwrite=overwrite,
+            callbacks=[show],
+            **given,
+        )
+    last = fitted.history.iloc[-1]
+    best = fitted.history["validation_loss"].min()
+    rows = [
+        ("model", f"{model} with guide {guide}, {fitted.num_parameters} parameters"),
+        ("steps", f"{last['step']:.0f} in {last['epoch']:.0f} epochs, {last['seconds']:.1f} s"),
+        ("loss", f"{last['loss']:.4g} nats per coordinate"),
+        ("validation", "no validation part" if best != best else f"{best:.4g} at its best"),
+        ("one step, training part", f"MSE {last['mse']:.3g} (4.2), MAE {last['mae']:.3g} (4.3)"),
+    ]
+    print_table("", ("fit", ""), rows)
+    say(f"{out}: written. Next: swarmssm evaluate {out} {file}")

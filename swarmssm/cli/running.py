@@ -1,0 +1,180 @@
+"""``evaluate``, ``forecast``, ``rollout`` and ``report``: what a fitted run is used for."""
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+import xarray as xr
+
+from swarmssm.cli.console import (
+    Overwrite,
+    Seed,
+    TableFormat,
+    TrustCode,
+    print_json,
+    print_table,
+    say,
+    write_json,
+)
+from swarmssm.errors import InputError
+from swarmssm.files import check_output
+
+__all__ = ["evaluate", "forecast", "report", "rollout"]
+
+Run = Annotated[Path, typer.Argument(help="Run folder, as fit writes it.")]
+File = Annotated[Path, typer.Argument(help="Tracks: NetCDF, or any file import can read.")]
+Edges = Annotated[
+    str,
+    typer.Option(
+        help="Graphs of later steps: decoder (the model's own) or rule (from predicted states)."
+    ),
+]
+Until = Annotated[
+    float | None,
+    typer.Option(help="Seconds: use what lies before this time. Default: all of the tracks."),
+]
+
+
+def evaluate(
+    run: Run,
+    file: File,
+    horizons: Annotated[str, typer.Option(help="Steps ahead, with commas.")] = "1,5,10,20,50",
+    part: Annotated[
+        str, typer.Option(help="auto, train, validation, test or all of the file.")
+    ] = "auto",
+    out: Annotated[Path | None, typer.Option(help="JSON file to write.")] = None,
+    format: Annotated[
+        TableFormat, typer.Option("--format", help="Print text or JSON.")
+    ] = TableFormat.text,
+    seed: Seed = 0,
+    edges: Edges = "decoder",
+    trust_code: TrustCode = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Score a run on tracks it has not seen, beside stay-put, constant velocity, noise floor."""
+    from swarmssm import analysis, inference, io
+
+    if out is not None:
+        check_output(out, overwrite=overwrite)
+    ahead = _horizons(horizons)
+    fitted = inference.Fit.load(run, trust_code=trust_code)
+    tracks = io.read(file)
+    result = analysis.evaluate(fitted, tracks, horizons=ahead, part=part, seed=seed, edges=edges)
+    if out is not None:
+        write_json(result.to_dict(), out, overwrite=overwrite)
+    if format is TableFormat.json:
+        print_json(result.to_dict())
+        return
+    columns, rows = analysis.scores_table(result)
+    print_table("", columns, rows)
+    for note in result.notes:
+        say(note)
+    if out is not None:
+        say(f"{out}: written.")
+
+
+def forecast(
+    run: Run,
+    file: File,
+    out: Annotated[Path, typer.Option(help="NetCDF file to write.")],
+    horizon: Annotated[int, typer.Option(help="Steps ahead.")] = 50,
+    draws: Annotated[int, typer.Option(help="Sampled futures; 0 for the mean path.")] = 100,
+    until: Until = None,
+    seed: Seed = 0,
+    edges: Edges = "decoder",
+    trust_code: TrustCode = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Draw what may come after the tracks (or after --until), from the past only."""
+    from swarmssm import inference, io
+
+    check_output(out, overwrite=overwrite)
+    fitted = inference.Fit.load(run, trust_code=trust_code)
+    history = _before(io.read(file), until)
+    result = fitted.forecast(history, horizon, draws, seed, edges)
+    io.write_dataset(result, out, overwrite=overwrite)
+    say(f"{out}: {max(draws, 1)} futures of {horizon} steps.")
+
+
+def rollout(
+    run: Run,
+    file: File,
+    out: Annotated[Path, typer.Option(help="NetCDF file of tracks to write.")],
+    steps: Annotated[int, typer.Option(help="Steps of the free run.")] = 1000,
+    draws: Annotated[int, typer.Option(help="Runs from each start; 0 for one without noise.")] = 1,
+    until: Annotated[
+        float | None,
+        typer.Option(help="Seconds: start from the last frame before. Default: the last frame."),
+    ] = None,
+    seed: Seed = 0,
+    edges: Edges = "decoder",
+    trust_code: TrustCode = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Let the learned rule run freely from a frame of the tracks; the result is tracks."""
+    from swarmssm import inference, io
+
+    check_output(out, overwrite=overwrite)
+    fitted = inference.Fit.load(run, trust_code=trust_code)
+    initial = _before(io.read(file), until)
+    result = fitted.rollout(initial, steps, draws, seed, edges)
+    io.write(result, out, overwrite=overwrite)
+    say(f"{out}: {result.sizes['trial']} free runs of {steps} steps.")
+
+
+def report(
+    run: Run,
+    out: Annotated[Path, typer.Option(help="HTML file to write.")],
+    data: Annotated[
+        Path | None, typer.Option(help="The tracks of the fit. Default: the file it was fitted on.")
+    ] = None,
+    seed: Seed = 0,
+    trust_code: TrustCode = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Write one self-contained HTML page: data, scores, figures, provenance."""
+    from swarmssm import analysis, inference, io
+    from swarmssm.inference.fitting import tracks_digest
+
+    check_output(out, overwrite=overwrite)
+    fitted = inference.Fit.load(run, trust_code=trust_code)
+    known = fitted.provenance.get("data", {})
+    path = data or Path(known.get("file") or "")
+    if data is None and not (known.get("file") and path.exists()):
+        raise InputError(
+            f"{run}: the tracks it was fitted on are no longer at {path}. Name them with --data."
+        )
+    tracks = io.read(path)
+    if tracks_digest(tracks) != known.get("sha256"):
+        raise InputError(
+            f"{path}: these are not the tracks that {run} was fitted on. Name them with --data."
+        )
+    analysis.report_run(fitted, tracks, out, overwrite=overwrite, seed=seed)
+    say(f"{out}: written.")
+
+
+def _horizons(text: str) -> tuple[int, ...]:
+    """Read whole numbers with commas between them."""
+    try:
+        ahead = tuple(sorted({int(part) for part in text.split(",")}))
+    except ValueError:
+        raise InputError(f"--horizons: {text!r} is not of the form 1,5,10.") from None
+    if ahead[0] < 1:
+        raise InputError(f"--horizons: every horizon must be at least 1, not {ahead[0]}.")
+    return ahead
+
+
+def _before(tracks: xr.Dataset, until: float | None) -> xr.Dataset:
+    """Return the tracks up to a time."""
+    if until is None:
+        return tracks
+    keep = tracks["time"].to_numpy() <= until
+    if keep.sum() < 2:
+        first = float(tracks["time"].values[0])
+        last = float(tracks["time"].values[-1])
+        raise InputError(
+            f"--until: fewer than two frames lie before {until:g} s; the tracks run from "
+            f"{first:g} s to {last:g} s."
+        )
+    return tracks.isel(time=np.flatnonzero(keep))
