@@ -68,15 +68,18 @@ def separation(
     Shape ``(..., individual, space)``. Two individuals at the very same place do not push each
     other, since there is no direction to push in; value and gradient are 0 there.
     """
-    difference = _pairwise_difference(positions)
-    squared = difference.square().sum(-1)
-    apart = squared > 0
+    known = _known(positions)
+    filled = torch.where(known, positions, 0.0)
+    # One (individual, individual) array a coordinate: sums over a last axis of 2 are slow.
+    offsets = [c[..., :, None] - c[..., None, :] for c in filled.unbind(-1)]
+    squared = torch.stack([offset.square() for offset in offsets]).sum(0)
+    apart = (squared > 0) & known & known.mT
     # The inner `where` keeps the gradient of the power finite where the outer one discards it.
     squared = torch.where(apart, squared, 1.0) + softening**2
-    power = torch.as_tensor(exponent, dtype=positions.dtype, device=positions.device)
-    strength = squared ** (-0.5 * (power[..., None] + 1.0))
+    power = exponent[..., None] if isinstance(exponent, Tensor) else exponent
+    strength = squared ** (-0.5 * (power + 1.0))
     weights = torch.where(apart, strength, 0.0) * adjacency.to(positions.dtype)
-    return (weights[..., None, :] @ difference).squeeze(-2)
+    return torch.stack([(weights * offset).sum(-1) for offset in offsets], -1)
 
 
 def alignment(velocities: Tensor, adjacency: Tensor, *, relative: bool = False) -> Tensor:
@@ -170,16 +173,3 @@ def _mean_difference(values: Tensor, adjacency: Tensor) -> Tensor:
     known = _known(values)
     own = torch.where(known, values, 0.0)
     return torch.where(has_neighbor & known, mean - own, 0.0)
-
-
-def _pairwise_difference(positions: Tensor) -> Tensor:
-    """Return ``[i, j] = p_i - p_j``, ``(..., individual, individual, space)``; 0 if one is absent.
-
-    A difference of 0 is what marks a pair without a direction, so an absent individual, put at
-    the place of whoever asks, drops out together with coincident pairs.
-    """
-    known = _known(positions)
-    filled = torch.where(known, positions, 0.0)
-    difference = filled[..., :, None, :] - filled[..., None, :, :]
-    both = known[..., :, None, :] & known[..., None, :, :]
-    return torch.where(both, difference, 0.0)

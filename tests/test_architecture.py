@@ -23,7 +23,7 @@ FLOORS = {
     "files": 1,
     "tracks": 1,
     "kinematics": 1,
-    "splits": 1,
+    "splits", "summary": 1,
     "scaling": 1,
     "timegrid": 1,
     "validation": 1,

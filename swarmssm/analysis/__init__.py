@@ -2,5 +2,18 @@
 
 from swarmssm.analysis.evaluate import evaluate
 from swarmssm.analysis.evaluation import Evaluation
+from swarmssm.analysis.report import build_report, report_many, report_run, write_report
+from swarmssm.analysis.table import edge_table, format_number, horizon_table, scores_table
 
-__all__ = ["Evaluation", "evaluate"]
+__all__ = [
+    "Evaluation",
+    "build_report",
+    "edge_table",
+    "evaluate",
+    "format_number",
+    "horizon_table",
+    "report_many",
+    "report_run",
+    "scores_table",
+    "write_report",
+]

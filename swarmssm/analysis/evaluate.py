@@ -1,5 +1,6 @@
 """Score a fit beside what anybody would try first, on the same frames."""
 
+import itertools
 from collections.abc import Sequence
 from typing import Any
 
@@ -27,6 +28,12 @@ from swarmssm.tracks import Array
 __all__ = ["evaluate"]
 
 HORIZONS = (1, 5, 10, 20, 50)
+#: What a baseline's next graph is.
+EDGE_TITLES = {
+    "stay-put": "same graph as before",
+    "constant-velocity": "graph rule on constant velocity",
+    "noise-floor": "graph rule on the true next state",
+}
 
 
 def evaluate(
@@ -152,8 +159,8 @@ def rolling_origins(
     Frames with somebody in them, and somebody in a later one, spread evenly.
     """
     trials, rows = [], []
-    for trial, there in enumerate(mask.any(axis=-1)):
-        usable = np.flatnonzero(there)[:-1]
+    for trial, there in enumerate(mask):
+        usable = np.flatnonzero(there.any(axis=-1))[:-1]
         if not usable.size:
             continue
         chosen = np.unique(np.linspace(0, usable.size - 1, min(count, usable.size)).round())
@@ -184,16 +191,29 @@ def _forecast_scores(
             f"The scored part has room for at most {int(room.max())} steps ahead: "
             f"{', '.join(map(str, left_out))} steps are not scored."
         )
-    steps = max(used, default=1)
+    steps = max(used, default=min(max(horizons), int(room.max())))
+    futures = [f.forecasts(trials, rows, steps) for f in forecasters]
+    notes += [
+        f"Steps ahead by the {f.title} are left out: it does not know all states they start from."
+        for f, future in zip(forecasters, futures, strict=True)
+        if future is None
+    ]
     ahead = _common(
         [
-            scaler.transform(subject.ahead(trials, rows, steps)),
-            *(scaler.transform(f.forecasts(trials, rows, steps)) for f in forecasters),
+            scaler.transform(states)
+            for states in (subject.ahead(trials, rows, steps), *futures)
+            if states is not None
         ]
     )
+    scored = iter(ahead[1:])
     errors = [
-        metrics.horizon_errors(ahead[0], forecast, range(1, steps + 1), length=length)
-        for forecast in ahead[1:]
+        metrics.horizon_errors(
+            ahead[0],
+            np.full_like(ahead[0], np.nan) if future is None else next(scored),
+            range(1, steps + 1),
+            length=length,
+        )
+        for future in futures
     ]
     over_steps = ("method", "step")
     data = {
@@ -221,7 +241,9 @@ def _common(states: Sequence[Array]) -> list[Array]:
 def _rooms(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
     """Return each trial's last row with anybody in it, -1 if there is none."""
     rows = np.arange(mask.shape[1])
-    last: npt.NDArray[np.int64] = np.where(mask.any(axis=-1), rows, -1).max(axis=-1)
+    last: npt.NDArray[np.int64] = np.where(np.logical_or.reduce(mask, axis=-1), rows, -1).max(
+        axis=-1
+    )
     return last
 
 
@@ -238,15 +260,11 @@ def _edge_scores(
     for forecaster in forecasters:
         edges = one_step[forecaster.name][1]
         if edges is not None:
-            title = forecaster.title
-            if forecaster.name == "stay-put":
-                title = "same graph as before"
-            elif forecaster.name == "constant-velocity":
-                title = "graph rule on constant velocity"
+            title = EDGE_TITLES.get(forecaster.name, forecaster.title)
             predicted[forecaster.name] = (title, edges)
     commoner = bool(np.nanmean(truth) > 0.5) if pairs.any() else False
     predicted["commoner"] = (
-        "every edge, always" if commoner else "no edge, ever",
+        "all edges" if commoner else "no edge at all",
         np.full_like(truth, float(commoner)),
     )
     for _, edges in predicted.values():
@@ -282,7 +300,7 @@ def _check(
 ) -> None:
     """Refuse arguments that are out of range."""
     steps = [int(k) for k in horizons]
-    if not steps or min(steps) < 1 or any(b <= a for a, b in zip(steps, steps[1:], strict=False)):
+    if not steps or min(steps) < 1 or any(b <= a for a, b in itertools.pairwise(steps)):
         raise InputError(
             f"horizons: give rising whole numbers of steps from 1 upwards, not {list(horizons)}."
         )

@@ -85,6 +85,7 @@ class Evaluation:
     def to_dict(self) -> dict[str, Any]:
         """Return scores, settings and notes for JSON; what is not known is ``None``."""
         names = ("mse", "mae", "amd_mean", "amd_error", "avd_mean", "avd_error")
+        at_steps = ("squared_error", "forecast_mse", "forecast_mae")
         methods = [str(name) for name in self.scores["method"].values]
         horizons = self.settings["horizons"]
         by_method = {
@@ -93,8 +94,8 @@ class Evaluation:
                 **{name: _plain(self.score(name, method)) for name in names},
                 "horizons": {
                     str(k): {
-                        name: _plain(self.score(name, method, k))
-                        for name in ("squared_error", "forecast_mse", "forecast_mae")
+                        "num_scored": int(self.scores["num_scored"].sel(step=k)),
+                        **{name: _plain(self.score(name, method, k)) for name in at_steps},
                     }
                     for k in horizons
                 },

@@ -15,9 +15,7 @@ NUM_SNAPSHOTS = 3
 NUM_RANDOM_STARTS = 4
 
 
-def imitation(
-    subject: Subject, forecaster: Forecaster, one_step: Array, seed: int
-) -> xr.Dataset:
+def imitation(subject: Subject, forecaster: Forecaster, one_step: Array, seed: int) -> xr.Dataset:
     """Return one trial as it was, as predicted step by step, and as a free run.
 
     The trial with the most of its states known; from its frame with the most individuals, the
@@ -32,9 +30,7 @@ def imitation(
     free = np.full_like(true, np.nan)
     free[0] = true[0]
     if steps:
-        runs = forecaster.free_runs(
-            np.array([trial]), np.array([first]), steps, draws=1, seed=seed
-        )
+        runs = forecaster.free_runs(np.array([trial]), np.array([first]), steps, draws=1, seed=seed)
         free[1:] = runs[0, 0]
     single = one_step[trial, first : first + steps + 1]
     dims = ("time", "individual", "space")
@@ -110,9 +106,7 @@ def random_starts(subject: Subject, edges: str, *, steps: int, seed: int) -> xr.
     stepper = subject.fit.stepper(edges)
     scaled = torch.from_numpy(stepper.scaler.transform(start)).to(torch.float32)
     with seeded(seed):
-        path = stepper.run(
-            scaled, graph, torch.ones(shape, dtype=torch.bool), steps, sample=True
-        )
+        path = stepper.run(scaled, graph, torch.ones(shape, dtype=torch.bool), steps, sample=True)
     states = stepper.scaler.inverse(path.states.numpy().astype(np.float64))
     states = diverged(states, np.ones(states.shape[:-1], dtype=bool))
     states = np.concatenate([start[:, None], states], axis=1)

@@ -12,6 +12,7 @@ from swarmssm.analysis.subject import Subject
 from swarmssm.errors import InputError, WorkError
 from swarmssm.graphs import GraphRule
 from swarmssm.inference.forecasting import seeded
+from swarmssm.metrics.masked import known
 from swarmssm.models.baselines import Baseline
 from swarmssm.simulate import Law
 from swarmssm.tracks import Array
@@ -38,10 +39,15 @@ class Forecaster(Protocol):
         neighbor)`` from 0 to 1, or ``None`` if it says nothing of edges.
         """
 
-    def forecasts(self, trials: Rows, rows: Rows, steps: int) -> Array:
-        """Return expected futures ``(origin, step, individual, state)`` of the given frames."""
+    def forecasts(self, trials: Rows, rows: Rows, steps: int) -> Array | None:
+        """Return expected futures ``(origin, step, individual, state)`` of the given frames.
 
-    def free_runs(self, trials: Rows, rows: Rows, steps: int, draws: int, seed: int) -> Array:
+        ``None`` if it cannot go on from all of them.
+        """
+
+    def free_runs(
+        self, trials: Rows, rows: Rows, steps: int, draws: int, seed: int
+    ) -> Array | None:
         """Return futures as they may come, ``(draw, origin, step, individual, state)``."""
 
 
@@ -101,9 +107,7 @@ class BaselineForecaster:
     def __init__(self, subject: Subject, baseline: Baseline) -> None:
         self.name, self.title = baseline.name, baseline.title
         self.subject, self.baseline = subject, baseline
-        self.known = np.where(
-            subject.inputs.mask.numpy()[..., None], subject.inputs.states, np.nan
-        )
+        self.known = np.where(subject.inputs.mask.numpy()[..., None], subject.inputs.states, np.nan)
 
     def one_step(self) -> tuple[Array, Array | None]:
         """Predict each frame; the graph is the one before, or that of the predicted states."""
@@ -128,7 +132,10 @@ class BaselineForecaster:
 
 
 class LawForecaster:
-    """The law that simulated the tracks: nobody can do better than its noise allows."""
+    """The law that simulated the tracks: nobody can do better than its noise allows.
+
+    It goes on only from frames in which everybody's state is known, since anybody may be seen.
+    """
 
     name, title = "noise-floor", "true rule (noise floor)"
 
@@ -141,8 +148,9 @@ class LawForecaster:
             self.position = tracks["true_position"].transpose(*order).to_numpy()
             self.velocity = tracks["true_velocity"].transpose(*order).to_numpy()
         # Nobody's step is known while one whom others may see is not.
-        whole = np.isfinite(self.position).all((-1, -2)) & np.isfinite(self.velocity).all((-1, -2))
-        self.usable = inputs.mask.numpy() & whole[..., None]
+        self.whole = np.logical_and.reduce(
+            known(self.position) & known(self.velocity) & inputs.mask.numpy(), axis=-1
+        )
 
     def one_step(self) -> tuple[Array, Array | None]:
         """Return the noise-free next state, and the graph that the rule makes of it."""
@@ -155,35 +163,36 @@ class LawForecaster:
         else:
             velocity = tracks["next_velocity"].transpose(*order).to_numpy()
         states = np.concatenate([following, velocity], axis=-1)
-        known = np.where(inputs.mask.numpy()[..., None], states, np.nan)
-        predicted = np.full_like(known, np.nan)
-        predicted[:, 1:] = known[:, :-1]
+        predicted = np.full_like(states, np.nan)
+        predicted[:, 1:] = np.where(inputs.mask.numpy()[..., None], states, np.nan)[:, :-1]
         return predicted, rule_graph(self.subject.fit.preparation.rule, predicted)
 
-    def forecasts(self, trials: Rows, rows: Rows, steps: int) -> Array:
+    def forecasts(self, trials: Rows, rows: Rows, steps: int) -> Array | None:
         """Run the law without noise."""
         return self._run(trials, rows, steps, None)
 
-    def free_runs(self, trials: Rows, rows: Rows, steps: int, draws: int, seed: int) -> Array:
+    def free_runs(
+        self, trials: Rows, rows: Rows, steps: int, draws: int, seed: int
+    ) -> Array | None:
         """Run the law with fresh noise."""
         generator = torch.Generator().manual_seed(seed)
         flat = self._run(np.tile(trials, draws), np.tile(rows, draws), steps, generator)
-        return flat.reshape(draws, len(rows), *flat.shape[1:])
+        return None if flat is None else flat.reshape(draws, len(rows), *flat.shape[1:])
 
     def _run(
         self, trials: Rows, rows: Rows, steps: int, generator: torch.Generator | None
-    ) -> Array:
+    ) -> Array | None:
         """Go on from true states."""
-        usable = self.usable[trials, rows].all(axis=-1) if len(rows) else np.zeros(0, dtype=bool)
-        shape = (len(rows), steps, *self.subject.states.shape[-2:])
-        out = np.full(shape, np.nan)
-        positions = torch.from_numpy(self.position[trials, rows][usable])
-        velocities = torch.from_numpy(self.velocity[trials, rows][usable])
-        for step in range(steps):
+        if not self.whole[trials, rows].all():
+            return None
+        positions = torch.from_numpy(self.position[trials, rows])
+        velocities = torch.from_numpy(self.velocity[trials, rows])
+        path = []
+        for _ in range(steps):
             force, _ = self.law.forces(positions, velocities)
             positions, velocities = self.law.move(positions, velocities, force, generator)
-            out[usable, step] = torch.cat([positions, velocities], dim=-1).numpy()
-        return out
+            path.append(torch.cat([positions, velocities], dim=-1))
+        return torch.stack(path, dim=1).numpy()
 
 
 def law_forecaster(subject: Subject) -> tuple[LawForecaster | None, str]:
@@ -209,8 +218,8 @@ def rule_graph(rule: GraphRule | None, states: Array) -> Array | None:
     position, velocity = np.split(states, 2, axis=-1)
     with contextlib.suppress(InputError, WorkError):
         graph: Any = rule(torch.from_numpy(position), torch.from_numpy(velocity))
-        known = np.isfinite(states).all(axis=-1)
-        pairs = known[..., :, None] & known[..., None, :]
+        there = known(states)
+        pairs = there[..., :, None] & there[..., None, :]
         return np.where(pairs, graph.numpy().astype(np.float64), np.nan)
     return None
 
@@ -233,8 +242,8 @@ def _delayed(graph: npt.NDArray[np.bool_]) -> Array:
 
 def _both_known(states: Array) -> npt.NDArray[np.bool_]:
     """Return the pairs that were known in the frame before."""
-    known = np.isfinite(states).all(axis=-1)
-    before = np.zeros_like(known)
-    before[:, 1:] = known[:, :-1]
+    there = known(states)
+    before = np.zeros_like(there)
+    before[:, 1:] = there[:, :-1]
     pairs: npt.NDArray[np.bool_] = before[..., :, None] & before[..., None, :]
     return pairs

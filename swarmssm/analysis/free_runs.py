@@ -9,6 +9,7 @@ import xarray as xr
 from swarmssm import metrics
 from swarmssm.analysis.forecasters import Forecaster
 from swarmssm.analysis.subject import Subject
+from swarmssm.metrics.masked import known
 from swarmssm.tracks import Array
 
 __all__ = ["collective_scores", "free_run_starts"]
@@ -53,14 +54,23 @@ def collective_scores(
     truth = np.concatenate([initial, truth], axis=1)
     # The same individuals are measured in all, as long as the truth says who they are; and only
     # those that run, so that one who joins later does not count on one side alone.
-    running = np.isfinite(initial).all(axis=-1)
-    known = np.isfinite(truth).all(axis=-1) & running
-    lasting = known.any(axis=-1)
-    measured = np.where(lasting[..., None], known, running)
-    truth = np.where(known[..., None], truth, np.nan)
+    there = known(truth) & known(initial)
+    lasting = there.any(axis=-1)
+    # Where the truth has nobody any more, those it had last go on being measured.
+    last = np.maximum.accumulate(np.where(lasting, np.arange(steps + 1), 0), axis=1)
+    measured = np.take_along_axis(there, last[..., None], axis=1)
+    truth = np.where(there[..., None], truth, np.nan)
     series: dict[str, Array] = {"truth": truth[None]}
+    titles, notes = ["truth"], []
     for forecaster in forecasters:
         runs = forecaster.free_runs(trials, rows, steps, draws, seed)
+        if runs is None:
+            notes.append(
+                f"Free runs of the {forecaster.title} are left out: it does not know all states "
+                "they start from."
+            )
+            continue
+        titles.append(forecaster.title)
         whole = np.concatenate(
             [np.broadcast_to(initial, (len(runs), *initial.shape)), runs], axis=2
         )
@@ -68,7 +78,6 @@ def collective_scores(
     far = BOUNDS * max(1.0, float(np.nanmax(np.abs(subject.states))))
     values = {name: _amd_avd(whole, far) for name, whole in series.items()}
     data = _summary(values, values["truth"])
-    notes = []
     overlap = int(lasting.sum(axis=1).max()) - 1
     if overlap < steps:
         notes.append(
@@ -79,7 +88,7 @@ def collective_scores(
     notes += [f"Free runs of {name} left all bounds." for name in blown]
     coords = {
         "series": list(series),
-        "title": ("series", ["truth", *(f.title for f in forecasters)]),
+        "title": ("series", titles),
         "time": np.arange(steps + 1) / subject.fps,
     }
     return xr.Dataset(data, coords, {"scored_steps": overlap, "num_starts": len(rows)}), notes
@@ -88,7 +97,7 @@ def collective_scores(
 def _amd_avd(runs: Array, far: float) -> tuple[Array, Array]:
     """Return AMD and AVD ``(draw, start, time)``, infinite once somebody left all bounds."""
     with np.errstate(invalid="ignore"):
-        lost = (np.abs(runs) > far).any(axis=(-1, -2))
+        lost = np.logical_or.reduce(np.abs(runs) > far, axis=(-1, -2))
     inside = np.where(lost[..., None, None], np.nan, runs)
     position, velocity = np.split(inside, 2, axis=-1)
     amd, avd = metrics.amd(position), metrics.avd(velocity)
@@ -126,8 +135,8 @@ def _summary(
 def _over_runs(flat: Array, share: float | None) -> Array:
     """Return mean or quantile over runs at each time; infinite if one is, NaN if none is known."""
     out = np.full(flat.shape[1], np.nan)
-    lost = np.isinf(flat).any(axis=0)
-    some = ~np.isnan(flat).all(axis=0) & ~lost
+    lost = np.logical_or.reduce(np.isinf(flat), axis=0)
+    some = np.logical_or.reduce(~np.isnan(flat), axis=0) & ~lost
     if some.any():
         part = flat[:, some]
         out[some] = np.nanmean(part, 0) if share is None else np.nanquantile(part, share, axis=0)

@@ -79,9 +79,7 @@ class Subject:
 
         NaN where nothing is known or the trial has ended.
         """
-        padded = np.pad(
-            self.states, ((0, 0), (0, steps), (0, 0), (0, 0)), constant_values=np.nan
-        )
+        padded = np.pad(self.states, ((0, 0), (0, steps), (0, 0), (0, 0)), constant_values=np.nan)
         following: Array = padded[trials[:, None], rows[:, None] + np.arange(1, steps + 1)]
         return following
 

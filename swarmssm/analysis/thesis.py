@@ -56,9 +56,7 @@ def thesis_rows(name: str | None) -> tuple[ThesisRow, ...]:
     if name is None:
         return ()
     if name not in THESIS_TABLES:
-        raise InputError(
-            f"thesis: {name!r} is unknown; choose one of {', '.join(THESIS_TABLES)}."
-        )
+        raise InputError(f"thesis: {name!r} is unknown; choose one of {', '.join(THESIS_TABLES)}.")
     return THESIS_TABLES[name]
 
 

@@ -245,16 +245,15 @@ def _tree_neighbors(
 ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.bool_]]:
     """Return the k nearest others of each point ``(point, k)``, and where a tie leaves them open.
 
-    A tie is open where the next one is as near as the last one taken, and where more points than
-    were asked for lie at the very same place, so that a point is not among its own nearest.
+    A tie is open where the next one is as near as the last one taken.
     """
     distances, indices = _query(points, k + 2)
     own = indices == np.arange(len(points))[:, None]
-    found = own.any(-1)
-    own[~found, -1] = True
+    # Among many at the very same place a point may not be found itself; that is an open tie too.
+    own[~own.any(-1), -1] = True
     indices = indices[~own].reshape(len(points), k + 1)
     distances = distances[~own].reshape(len(points), k + 1)
-    return indices[:, :k], ~found | (distances[:, k - 1] == distances[:, k])
+    return indices[:, :k], distances[:, k - 1] == distances[:, k]
 
 
 def _query(

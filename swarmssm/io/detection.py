@@ -70,9 +70,11 @@ def _of_folder(path: Path) -> str:
             return "trex-csv"
     if any(FIELD.fullmatch(file.stem) for file in path.glob("*.npz")):
         return "trex"
+    inner = ""
     with contextlib.suppress(InputError):
-        if (path / "data").is_dir() and _of_folder(path / "data").startswith("trex"):
-            raise InputError(f"{path}: TRex's files lie in its folder data. Name {path / 'data'}.")
+        inner = _of_folder(path / "data") if (path / "data").is_dir() else ""
+    if inner.startswith("trex"):
+        raise InputError(f"{path}: TRex's files lie in its folder data. Name {path / 'data'}.")
     held = named_list(sorted(file.name for file in path.iterdir()), 4) or "nothing"
     raise InputError(
         f"{path}: no tracks were found in this folder (it holds {held}). Name the file of the "

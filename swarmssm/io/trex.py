@@ -216,7 +216,7 @@ def checked_file(
         raise InputError(f"{path}: it has no frame. Take the file away.")
 
     odd = ~np.isfinite(frame) | (frame != np.round(frame)) | (np.abs(frame) > LAST_EXACT_FRAME)
-    odd[1:] |= np.diff(frame) <= 0
+    odd[1:] |= frame[1:] <= frame[:-1]
     if odd.any():
         row = int(np.argmax(odd))
         raise InputError(

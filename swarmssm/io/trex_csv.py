@@ -57,13 +57,13 @@ def read_trex_csv(
             f"centroid: {centroid!r} is unknown; choose one of {', '.join(CENTROIDS)}."
         )
     if place.is_dir():
-        paths = [p for p in sorted(place.glob("*.csv")) if not is_companion(p)]
+        found = {p: TextTable(p) for p in sorted(place.glob("*.csv")) if not is_companion(p)}
+        found = {p: table for p, table in found.items() if is_trex_header(table.names)}
     else:
-        paths = [place]
-    tables = {p: TextTable(p) for p in of_one_video(paths, place, video)} if paths else {}
-    tables = {p: t for p, t in tables.items() if is_trex_header(t.names) or len(tables) == 1}
-    if not tables:
+        found = {place: TextTable(place)}
+    if not found:
         raise InputError(f"{place}: it holds no csv file of TRex. Name the folder of its export.")
+    tables = {p: found[p] for p in of_one_video(list(found), place, video)}
     files = []
     unit = ""
     for file, table in tables.items():

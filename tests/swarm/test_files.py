@@ -106,6 +106,16 @@ def test_a_device_without_space_is_told_in_one_sentence(old: Path):
     assert names(old.parent) == ["result.csv"]
 
 
+def test_a_reader_of_the_old_file_reads_all_of_it(old: Path):
+    with old.open() as reader:
+        with write_beside(old, overwrite=True) as temporary:
+            temporary.write_text("new")
+            written = temporary.stat().st_ino
+        assert reader.read() == "old"
+    # Renamed, not copied: there was no moment at which it was half there.
+    assert old.stat().st_ino == written
+
+
 def test_a_file_that_grows_too_large_leaves_the_old_one(old: Path):
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     with pytest.raises(WorkError, match="File too large"):  # noqa: PT012

@@ -180,6 +180,9 @@ def test_a_part_that_would_be_empty_is_refused_not_left_out():
     # 0.15 of four frames rounds to none.
     with pytest.raises(InputError, match="trial 0 has 4 frames, too few to split by time"):
         split(numbered(4), "time")
+    # Of seven it is one, from the fifth to the sixth: too short for a velocity.
+    with pytest.raises(InputError, match="trial 0 has 7 frames, too few to split by time"):
+        split(numbered(7), "time")
     with pytest.raises(InputError, match="trial 1 has 4 frames, too few"):
         split(numbered(100, 4), "time")
     with pytest.raises(InputError, match="the test part would be trial 2 alone, which has 1 frame"):

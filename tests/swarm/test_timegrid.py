@@ -47,6 +47,9 @@ def test_jitter_moves_the_rate_by_no_more_than_its_standard_error(seed: int):
 def test_holes_do_not_slow_the_rate():
     kept = np.sort(np.random.default_rng(0).choice(2000, 1500, replace=False))
     assert rate_of(np.round(kept / 30.0, 3)) == 30.0
+    # A hole of a hundred steps of 0.033 s would be one frame too long.
+    halves = np.concatenate([np.arange(50), 150 + np.arange(50)])
+    assert rate_of(np.round(halves / 30.0, 3)) == 30.0
     # Every tenth frame: with the frame numbers the rate of the recording, else that of the rows.
     every_tenth = np.arange(0, 1000, 10)
     assert rate_of(every_tenth / 30.0, every_tenth) == 30.0
@@ -89,10 +92,15 @@ def test_any_jitter_below_a_quarter_of_a_step_is_snapped(
     assert fps == rate
 
 
-def test_exact_stamps_are_kept_to_the_last_digit():
-    stamps = 7.3 + np.arange(50) / 30.0
-    _, grid, _, _ = time_grid(50, 30.0, time=stamps)
+@pytest.mark.parametrize("start", [0.0, 7.3, 12345.678, 1.7e9 + 0.1])
+@pytest.mark.parametrize("rate", [30.0, 29.97])
+def test_exact_stamps_are_kept_to_the_last_digit(start: float, rate: float):
+    stamps = start + np.arange(50) / rate
+    _, grid, _, _ = time_grid(50, rate, time=stamps)
     np.testing.assert_array_equal(grid, stamps)
+    # Stamps that err in their last digit do not move the first of them.
+    _, grid, _, _ = time_grid(50, rate, time=start + np.arange(50) * (1 / rate))
+    assert grid[0] == start
 
 
 def test_frame_numbers_define_the_grid():

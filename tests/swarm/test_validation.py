@@ -277,15 +277,28 @@ def test_checked_tracks_stay_as_they_are():
 
 
 def test_how_a_file_packed_its_numbers_is_forgotten(tmp_path: Path):
-    packed = {"position": {"dtype": "int16", "scale_factor": 1.0, "_FillValue": -1}}
+    small = {"dtype": "int16", "_FillValue": -1}
+    packed = {"position": small, "confidence": small}
     movement().to_netcdf(tmp_path / "a.nc", engine="h5netcdf", encoding=packed)
     with xr.open_dataset(tmp_path / "a.nc", engine="h5netcdf") as dataset:
         assert dataset["position"].encoding["dtype"] == "int16"
         tracks = validate_tracks(dataset.load())
     tracks["position"] += 0.25
+    tracks["confidence"] = tracks["confidence"].copy(data=np.full((4, 2), 0.25))
     tracks.to_netcdf(tmp_path / "b.nc", engine="h5netcdf")
     with xr.open_dataset(tmp_path / "b.nc", engine="h5netcdf") as dataset:
         np.testing.assert_array_equal(dataset["position"], tracks["position"])
+        assert (dataset["confidence"] == 0.25).all()
+
+
+def test_notes_on_a_variable_are_kept():
+    dataset = movement()
+    dataset["position"].attrs["long_name"] = "centre of the body"
+    dataset["time"].attrs["long_name"] = "since the lamp was lit"
+    dataset.attrs["unit"] = "mm"
+    tracks = validate_tracks(dataset)
+    assert tracks["position"].attrs == {"long_name": "centre of the body", "units": "mm"}
+    assert tracks["time"].attrs == {"long_name": "since the lamp was lit", "units": "s"}
 
 
 EDGE_DIMS = ("time", "individual", "neighbor")

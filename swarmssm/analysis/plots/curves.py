@@ -7,8 +7,16 @@ import numpy.typing as npt
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
 
-from swarmssm.analysis.plots.style import LINE_STYLES, colour_of, new_axes, new_grid
+from swarmssm.analysis.plots.style import (
+    LINE_STYLES,
+    colour_of,
+    log_scale,
+    new_axes,
+    new_grid,
+    whole_numbers,
+)
 
 __all__ = ["plot_collective", "plot_horizon_errors", "plot_training"]
 
@@ -37,11 +45,12 @@ def plot_collective(
 
     Returns
     -------
-    Figure and axes: a line a series, with a band for the truth and the model. Where a run left all
-    bounds there is a gap.
+    Figure and axes: a line a series, with a band for the truth and the model, whose values the axis
+    is made for: another line may leave it. Where a run left all bounds there is a gap.
     """
     figure, ax = new_axes(ax)
     seconds = collective["time"].to_numpy()
+    highest = 0.0
     for name, title in zip(collective["series"].values, collective["title"].values, strict=True):
         chosen = collective.sel(series=name)
         line = _finite(chosen[score])
@@ -49,6 +58,8 @@ def plot_collective(
         banded = str(name) not in ("stay-put", "constant-velocity", "noise-floor")
         if banded:
             low, high = _finite(chosen[f"{score}_low"]), _finite(chosen[f"{score}_high"])
+            highest = max(highest, float(np.nanmax(high, initial=0.0)))
+            highest = max(highest, float(np.nanmax(line, initial=0.0)))
             ax.fill_between(seconds, low, high, color=colour, alpha=0.18, linewidth=0)
         ax.plot(
             seconds,
@@ -59,10 +70,11 @@ def plot_collective(
             label=str(title),
         )
     ax.set_xlabel("time since the start of the run (s)")
-    measure = f"{unit}/s" if score == "avd" and unit else ("1/s" if score == "avd" else unit)
+    measure = f"{unit}/s" if score == "avd" else unit
     name = {"amd": "AMD", "avd": "AVD"}[score]
-    ax.set_ylabel(f"{name} ({measure})" if unit else name)
-    ax.set_ylim(bottom=0.0)
+    ax.set_ylabel(f"{name} ({measure})" if unit else name, parse_math=False)
+    top = ax.get_ylim()[1]
+    ax.set_ylim(0.0, min(top, 1.6 * highest) if highest > 0 else top)
     ax.legend(frameon=False, fontsize=8)
     return figure, ax
 
@@ -99,7 +111,8 @@ def plot_horizon_errors(
             label=str(title),
             marker="o" if len(steps) == 1 else None,
         )
-    ax.set_yscale("log")
+    log_scale(ax)
+    whole_numbers(ax)
     ax.set_xlabel("steps ahead K")
     ax.set_ylabel(HORIZON_LABELS[score])
     ax.legend(frameon=False, fontsize=8)
@@ -122,7 +135,8 @@ def plot_training(
     Returns
     -------
     Figure and axes ``(3,)``. Errors have a logarithmic axis. The loss, a negative evidence lower
-    bound that may fall below 0, has one that is logarithmic on both sides of 0.
+    bound, has one too as long as it stays above 0, else one that is linear from -1 to 1 and
+    logarithmic on both sides.
     """
     figure, grid = new_grid(axes, 1, 3, (9.6, 3.1))
     epochs = history["epoch"].to_numpy()
@@ -134,17 +148,23 @@ def plot_training(
         if name in history and np.isfinite(history[name]).any():
             colour = colour_of("") if name == "loss" else colour_of("constant-velocity")
             loss.plot(epochs, history[name], style, color=colour, linewidth=1.5, label=title)
-    loss.set_yscale("symlog", linthresh=1.0)
+    drawn = np.concatenate([np.asarray(line.get_ydata(), float) for line in loss.lines] or [[]])
+    if np.nanmin(drawn, initial=np.inf) > 0:
+        log_scale(loss)
+    else:
+        loss.set_yscale("symlog", linthresh=1.0)
+        loss.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     loss.set_ylabel("loss (nats per coordinate)")
     loss.legend(frameon=False, fontsize=8)
     for ax, name, title in zip(errors, ("mse", "mae"), ("MSE (4.2)", "MAE (4.3)"), strict=True):
         if name in history:
             ax.plot(epochs, history[name], color=colour_of(""), linewidth=1.5, label="training")
             if (history[name] > 0).any():
-                ax.set_yscale("log")
+                log_scale(ax)
         ax.set_ylabel(title)
     for ax in grid[0]:
         ax.set_xlabel("epoch")
+        whole_numbers(ax)
     return figure, grid[0]
 
 

@@ -99,9 +99,7 @@ def plot_edge_accuracy(
     return figure, ax
 
 
-def _draw_graph(
-    ax: Axes, position: xr.DataArray, edges: npt.NDArray[Any], unit: str
-) -> None:
+def _draw_graph(ax: Axes, position: xr.DataArray, edges: npt.NDArray[Any], unit: str) -> None:
     """Draw one graph: a line where both see each other, an arrow where one sees the other."""
     place = position.transpose("individual", "space").to_numpy()[:, :2]
     seen = np.isfinite(place).all(axis=-1)
@@ -112,10 +110,13 @@ def _draw_graph(
         ax.plot(*place[[i, j]].T, color=EDGE, linewidth=0.8, alpha=0.7, zorder=1)
     one_way = np.argwhere(there & ~there.T)
     if len(one_way):
-        start, end = place[one_way[:, 0]], place[one_way[:, 1]]
+        start = place[one_way[:, 0]]
+        arrow = place[one_way[:, 1]] - start
         ax.quiver(
-            *start.T,
-            *(end - start).T,
+            start[:, 0],
+            start[:, 1],
+            arrow[:, 0],
+            arrow[:, 1],
             color=EDGE,
             alpha=0.7,
             angles="xy",
@@ -125,5 +126,5 @@ def _draw_graph(
             zorder=1,
         )
     colours = np.array(individual_colours(len(place)))[seen]
-    ax.scatter(*place[seen].T, c=colours, s=32, linewidths=0, zorder=2)
+    ax.scatter(place[seen, 0], place[seen, 1], c=colours, s=32, linewidths=0, zorder=2)
     label_axes(ax, [str(name) for name in position["space"].values], unit)

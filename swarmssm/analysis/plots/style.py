@@ -1,27 +1,31 @@
 """How all figures look: one colour a method everywhere, readable to the colour-blind."""
 
-from collections.abc import Iterator
+import inspect
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter, MaxNLocator
+
+from swarmssm.errors import InputError
 
 __all__ = [
     "LINE_STYLES",
     "colour_of",
     "individual_colours",
     "label_axes",
+    "log_scale",
     "new_axes",
     "new_grid",
+    "whole_numbers",
 ]
 
-Colour = str | tuple[float, ...]
-
-#: Okabe and Ito's colours, darkened where they would fade on white; all are seen on black too.
+#: Okabe and Ito's colours, darkened where they would fade on white; all but black, which a page in
+#: the dark replaces by its own ink, are seen on black too.
 COLOURS = {
-    "truth": "#7f7f7f",
+    "truth": "#000000",
     "stay-put": "#b8860b",
     "constant-velocity": "#cc5f00",
     "noise-floor": "#009e73",
@@ -80,7 +84,7 @@ def new_grid(
         return figure, figure.subplots(rows, columns, squeeze=False, **shared)
     given = np.asarray(axes, dtype=object)
     if given.size != rows * columns:
-        raise ValueError(f"axes: {rows * columns} are needed, and {given.size} are given")
+        raise InputError(f"axes: {rows * columns} are needed, and {given.size} are given.")
     given = given.reshape(rows, columns)
     return figure_of(given[0, 0]), given
 
@@ -89,25 +93,31 @@ def figure_of(ax: Axes) -> Figure:
     """Return the figure that axes belong to, also from within a sub-figure."""
     figure = ax.get_figure(root=True) if _knows_root() else ax.figure
     if not isinstance(figure, Figure):
-        raise ValueError("ax: these axes belong to no figure")
+        raise InputError("ax: these axes belong to no figure. Take those of a figure.")
     return figure
 
 
 def _knows_root() -> bool:
     """Return whether this matplotlib can tell a sub-figure from its figure (3.10 and later)."""
-    import inspect
-
     return "root" in inspect.signature(Axes.get_figure).parameters
 
 
 def label_axes(ax: Axes, coordinates: list[str], unit: str) -> None:
     """Label space axes, and draw both to the same scale."""
-    for name, setter in zip(coordinates, (ax.set_xlabel, ax.set_ylabel), strict=False):
-        setter(f"{name} ({unit})" if unit else name)
+    first, second = (f"{name} ({unit})" if unit else name for name in coordinates[:2])
+    # A unit is the user's own text: a dollar in it is a dollar, not the start of a formula.
+    ax.set_xlabel(first, parse_math=False)
+    ax.set_ylabel(second, parse_math=False)
     ax.set_aspect("equal", adjustable="datalim")
 
 
-def pairs(array: npt.NDArray[Any]) -> Iterator[tuple[int, int]]:
-    """Return the index pairs at which a matrix is not zero."""
-    for i, j in np.argwhere(array):
-        yield int(i), int(j)
+def log_scale(ax: Axes) -> None:
+    """Give the y axis a logarithmic scale with plain numbers, also within less than a decade."""
+    ax.set_yscale("log")
+    ax.yaxis.set_major_formatter(LogFormatter())
+    ax.yaxis.set_minor_formatter(LogFormatter(labelOnlyBase=False, minor_thresholds=(2.0, 0.6)))
+
+
+def whole_numbers(ax: Axes) -> None:
+    """Let the x axis have ticks at whole numbers only."""
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))

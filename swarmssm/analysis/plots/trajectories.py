@@ -49,7 +49,7 @@ def plot_trajectories(
         if seen.size:
             ax.plot(*path[seen[-1]], marker="o", markersize=3.5, color=colour)
     label_axes(ax, [str(name) for name in position["space"].values], unit)
-    ax.set_title(title)
+    ax.set_title(title, fontsize=10)
     return figure, ax
 
 
@@ -158,15 +158,17 @@ def _draw_headings(ax: Axes, position: xr.DataArray, velocity: xr.DataArray, uni
     length = np.linalg.norm(speed, axis=-1, keepdims=True)
     heading = np.divide(speed, length, out=np.zeros_like(speed), where=length > 0)
     seen = np.isfinite(place).all(axis=-1)
-    colours = np.array(individual_colours(len(place)))[seen]
-    ax.scatter(*place[seen].T, c=colours, s=14, linewidths=0)
+    colours = np.array(individual_colours(len(place)))
+    ax.scatter(place[seen, 0], place[seen, 1], c=colours[seen], s=14, linewidths=0)
     arrows = seen & np.isfinite(heading).all(axis=-1)
     ax.quiver(
-        *place[arrows].T,
-        *heading[arrows].T,
-        color=np.array(individual_colours(len(place)))[arrows],
+        place[arrows, 0],
+        place[arrows, 1],
+        heading[arrows, 0],
+        heading[arrows, 1],
+        color=colours[arrows],
         angles="xy",
-        scale=9,
+        scale=11,
         width=0.012,
     )
     label_axes(ax, [str(name) for name in position["space"].values], unit)
@@ -181,7 +183,7 @@ def _same_limits(axes: Sequence[Axes], arrays: Sequence[xr.DataArray]) -> None:
     if not len(values):
         return
     low, high = values.min(axis=0), values.max(axis=0)
-    half = 0.55 * max(float((high - low).max()), 1e-9)
+    half = 0.6 * max(float((high - low).max()), 1e-9)
     middle = (low + high) / 2
     for ax in axes:
         ax.set_xlim(middle[0] - half, middle[0] + half)

@@ -3,6 +3,9 @@
 import html
 import io
 import re
+import warnings
+from contextlib import AbstractContextManager
+from typing import Any
 
 import matplotlib
 import matplotlib.style
@@ -15,7 +18,7 @@ __all__ = ["as_svg", "house_style"]
 DPI = 160
 
 
-def house_style() -> object:
+def house_style() -> AbstractContextManager[None]:
     """Return a context in which figures are drawn in matplotlib's own style.
 
     What the user's configuration says of colours would not fit the page.
@@ -37,9 +40,11 @@ def as_svg(figure: Figure, name: str, alt: str) -> Markup:
     """
     stream = io.StringIO()
     # Text stays text; and the same figure gives the same bytes.
-    options = {"svg.fonttype": "none", "svg.hashsalt": name}
+    options: Any = {"svg.fonttype": "none", "svg.hashsalt": name}
     nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
-    with matplotlib.rc_context(options):
+    with matplotlib.rc_context(options), warnings.catch_warnings():
+        # Text stays text, and the page's fonts have what matplotlib's own may lack.
+        warnings.filterwarnings("ignore", r"Glyph .* missing from (font|current font)")
         figure.savefig(stream, format="svg", metadata=nothing, transparent=True, dpi=DPI)
     text = stream.getvalue()
     text = text[text.index("<svg") :]
@@ -57,4 +62,4 @@ def as_svg(figure: Figure, name: str, alt: str) -> Markup:
     # Names are made unlike those of other figures; a figure's own do not clash.
     rest = re.sub(r'\bid="', f'id="{name}-', rest)
     rest = re.sub(r'(href="#|url\(#)', rf"\g<1>{name}-", rest)
-    return Markup(head + rest)  # noqa: S704
+    return Markup(head + rest)

@@ -8,6 +8,7 @@ import xarray as xr
 from swarmssm import metrics
 from swarmssm.analysis.evaluation import Evaluation
 from swarmssm.analysis.table import format_number as number
+from swarmssm.tracks import Array
 
 __all__ = [
     "collective_sentence",
@@ -30,32 +31,26 @@ SIMPLE = ("stay-put", "constant-velocity")
 def verdict(evaluation: Evaluation) -> tuple[str, list[str]]:
     """Return one sentence that sums up, and one each on what it rests on."""
     model = title_of(evaluation, evaluation.model)
+    steps = _farthest(evaluation)
     judged = {
-        "one step ahead": better(*_model_and_rival(evaluation, "mse")),
-        _far_words(evaluation): better(
-            *_model_and_rival(evaluation, "squared_error", _farthest(evaluation))
-        ),
-        "in the next graph": _judge_edges(evaluation),
-        "in how close a free run keeps": better(*_model_and_rival(evaluation, "amd_error")),
-        "in how alike a free run heads": better(*_model_and_rival(evaluation, "avd_error")),
+        "one step ahead": better(*_named_rival(evaluation, "mse")[:2]),
+        f"{steps} steps ahead": None
+        if steps == 1
+        else better(*_named_rival(evaluation, "squared_error", steps)[:2]),
+        "in predicting the next graph": _judge_edges(evaluation),
+        "in the cohesion of free runs": better(*_named_rival(evaluation, "amd_error")[:2]),
+        "in the alignment of free runs": better(*_named_rival(evaluation, "avd_error")[:2]),
     }
-    won = [name for name, result in judged.items() if result == 1]
-    lost = [name for name, result in judged.items() if result == -1]
-    tied = [name for name, result in judged.items() if result == 0]
-    if not (won or lost or tied):
-        return f"Nothing could be scored for {model}.", []
-    if not lost and not tied:
-        summary = f"{model} beats its simplest rivals {_list(won)}."
-    elif not won:
-        summary = f"{model} beats its simplest rivals nowhere"
-        summary += f": it loses {_list(lost)}" if lost else ""
-        summary += f", and ties {_list(tied)}" if tied and lost else ""
-        summary += f": it ties {_list(tied)}." if tied and not lost else "."
-    else:
-        summary = f"{model} beats its simplest rivals {_list(won)}"
-        summary += f"; it loses {_list(lost)}" if lost else ""
-        summary += f"; it ties {_list(tied)}" if tied else ""
-        summary += "."
+    outcomes = (
+        (1, "beats the best of them"),
+        (0, "is as good as the best of them"),
+        (-1, "does worse than the best of them"),
+    )
+    parts = []
+    for outcome, words in outcomes:
+        where = [name for name, result in judged.items() if result == outcome]
+        if where:
+            parts.append((words, joined(where)))
     sentences = [
         one_step_sentence(evaluation),
         horizon_sentence(evaluation),
@@ -63,7 +58,16 @@ def verdict(evaluation: Evaluation) -> tuple[str, list[str]]:
         collective_sentence(evaluation, "amd"),
         collective_sentence(evaluation, "avd"),
     ]
-    return capital(summary), [s for s in sentences if s]
+    reasons = [sentence for sentence in sentences if sentence]
+    if not parts:
+        return f"Nothing could be compared for {model}.", reasons
+    # Whichever comes first says in full whom "them" means.
+    rivals = "the best of the simple rivals (stay put, constant velocity, an unchanged graph)"
+    first = parts[0][0].replace("the best of them", rivals)
+    clauses = [f"{first} {parts[0][1]}", *(f"{words} {where}" for words, where in parts[1:])]
+    everywhere = len(parts) == 1 and len([r for r in judged.values() if r is not None]) > 1
+    summary = f"{model} " + "; it ".join(clauses)
+    return capital(summary) + (": on every count." if everywhere else "."), reasons
 
 
 def one_step_sentence(evaluation: Evaluation) -> str:
@@ -109,13 +113,13 @@ def horizon_sentence(evaluation: Evaluation) -> str:
     known = ~(np.isnan(own) | np.isnan(best))
     if not known.any():
         return ""
-    words = "stay put and constant velocity"
+    words = "the better of stay put and constant velocity"
     title = title_of(evaluation, model)
     below = own[known] < best[known]
     steps = steps[known]
     last = int(steps[-1])
     end = f"{number(float(own[known][-1]))} against {number(float(best[known][-1]))}"
-    far = f"at {last} step{'s' * (last > 1)} its squared error is {end} for the better of them"
+    far = f"at {last} step{'s' * (last > 1)} its squared error is {end}"
     if below.all():
         text = f"{capital(title)} errs less than {words} at every number of steps up to {last}"
     elif not below.any():
@@ -127,10 +131,8 @@ def horizon_sentence(evaluation: Evaluation) -> str:
         first = int(steps[np.argmin(below)])
         text = f"{capital(title)} errs less than {words} only below {first} steps ahead"
     else:
-        text = (
-            f"{capital(title)} errs less than {words} at {int(below.sum())} of {len(below)} numbers "
-            "of steps ahead"
-        )
+        some = f"{int(below.sum())} of {len(below)} numbers of steps ahead"
+        text = f"{capital(title)} errs less than {words} at {some}"
     return f"{text}; {far}."
 
 
@@ -140,22 +142,21 @@ def edge_sentence(evaluation: Evaluation) -> str:
     own = evaluation.edge_score("accuracy", model)
     if math.isnan(own):
         return ""
-    titles = dict(
-        zip(
-            (str(v) for v in evaluation.edges["predictor"].values),
-            (str(v) for v in evaluation.edges["title"].values),
-            strict=True,
-        )
-    )
+    known = {str(name) for name in evaluation.edges["predictor"].values}
+    commoner = str(evaluation.edges["title"].sel(predictor="commoner").item())
+    words = {
+        "stay-put": "the same graph as before is right on",
+        "commoner": f"{commoner} on",
+    }
     others = [
-        f"{titles[name]} {percent(evaluation.edge_score('accuracy', name))}"
-        for name in ("stay-put", "commoner")
-        if name in titles
+        f"{text} {percent(evaluation.edge_score('accuracy', name))}"
+        for name, text in words.items()
+        if name in known
     ]
     auc = evaluation.edge_score("auc", model)
     text = (
         f"{capital(title_of(evaluation, model))} is right on {percent(own)} of the pairs of the "
-        f"next graph; {_list(others)}"
+        f"next graph, where {joined(others)}"
     )
     if not math.isnan(auc):
         text += f" (AUC {number(auc)}, where 0.5 knows nothing)"
@@ -169,29 +170,33 @@ def collective_sentence(evaluation: Evaluation, score: str) -> str:
     if math.isnan(own) or math.isnan(true):
         return ""
     unit = evaluation.settings["unit"]
-    measure = f" {unit}" if unit and score == "amd" else (f" {unit}/s" if unit else "")
+    measure = unit if score == "amd" else f"{unit}/s".removeprefix("/s")
     model = title_of(evaluation, evaluation.model)
     if math.isinf(own):
         return f"Free runs of {model} leave all bounds."
-    if score == "amd":
-        what = "the mean distance to the nearest neighbour"
-        low, high = "its groups are tighter than the true one", "its groups are looser"
-    else:
-        what = "the mean difference of two velocities"
-        low, high = "its members move more alike than the true ones", "they move less alike"
-    if better(own, true) == 0:
-        compared = "as in the truth"
-    else:
-        compared = low if own < true else high
-    error = evaluation.score(f"{score}_error", evaluation.model)
-    own_error, rival, name = _named_rival(evaluation, f"{score}_error")
+    what, low, high, alike = {
+        "amd": (
+            "the mean distance to the nearest neighbour (AMD)",
+            "are tighter than the true group",
+            "are looser than the true group",
+            "are as tight as the true group",
+        ),
+        "avd": (
+            "the mean difference of two velocities (AVD)",
+            "move more alike than the true group",
+            "move less alike than the true group",
+            "move as alike as the true group",
+        ),
+    }[score]
+    compared = alike if better(own, true) == 0 else (low if own < true else high)
+    error, rival, name = _named_rival(evaluation, f"{score}_error")
     text = (
-        f"In free runs of {model} {what} ({score.upper()}) is {number(own)}{measure}, where the "
-        f"truth has {number(true)}: {compared}. Over time it is off by {number(error)}"
+        f"Free runs of {model} {compared}: {what} is {quantity(own, measure)} against "
+        f"{quantity(true, measure)}, and over time it is off by {number(error)}"
     )
-    result = better(own_error, rival)
+    result = better(error, rival)
     if result is not None:
-        words = {1: "closer than", 0: "as close as", -1: "farther off than"}[result]
+        words = {1: "less than", 0: "as much as", -1: "more than"}[result]
         text += f", {words} {name} ({number(rival)})"
     return text + "."
 
@@ -199,28 +204,28 @@ def collective_sentence(evaluation: Evaluation, score: str) -> str:
 def imitation_sentence(evaluation: Evaluation) -> str:
     """Say how far imitated paths lie from the true ones."""
     data = evaluation.imitation
-    true, single, free = (data[n].transpose("time", "individual", "space").to_numpy() for n in (
-        "true", "one_step", "free_run"))
-    unit = data.attrs.get("unit", "")
-    step = _mean_distance(single, true)
-    moved = _mean_distance(true[:-1], true[1:])
-    late = slice(-max(1, len(true) // 10), None)
-    end, still = _mean_distance(free[late], true[late]), _mean_distance(
-        np.broadcast_to(true[0], true[late].shape), true[late]
+    true, single, free = (
+        data[name].transpose("time", "individual", "space").to_numpy()
+        for name in ("true", "one_step", "free_run")
     )
-    if math.isnan(step):
+    unit = data.attrs.get("unit", "")
+    off, step = _mean_distance(single, true), _mean_distance(true[:-1], true[1:])
+    if math.isnan(off) or math.isnan(step):
         return ""
     text = (
-        f"One step at a time the imitated positions are {quantity(step, unit)} off on average, "
-        f"where the individuals themselves move {quantity(moved, unit)} a step."
+        f"Predicted one step at a time, individuals are {quantity(off, unit)} from where they "
+        f"truly are, {times(off / step)} the length of a true step"
     )
-    if not math.isnan(end) and len(true) > 1:
+    late = slice(-max(1, len(true) // 10), None)
+    end = _mean_distance(free[late], true[late])
+    still = _mean_distance(np.broadcast_to(true[0], true[late].shape), true[late])
+    if not math.isnan(end):
         seconds = float(data["time"][-1])
         text += (
-            f" Running freely they are {quantity(end, unit)} off after {number(seconds)} s; had "
-            f"nobody moved from the start, it would be {quantity(still, unit)}."
+            f"; running freely, {quantity(end, unit)} after {number(seconds)} s, where it would be "
+            f"{quantity(still, unit)} had nobody moved"
         )
-    return text
+    return text + "."
 
 
 def snapshots_sentence(evaluation: Evaluation) -> str:
@@ -353,7 +358,7 @@ def quantity(value: float, unit: str) -> str:
     return f"{number(value)} {unit}".rstrip()
 
 
-def _mean_distance(first: np.ndarray, second: np.ndarray) -> float:
+def _mean_distance(first: Array, second: Array) -> float:
     """Return the mean distance of places where both are known; NaN if nowhere."""
     distance = np.linalg.norm(first - second, axis=-1)
     known = np.isfinite(distance)
@@ -373,20 +378,11 @@ def _named_rival(
     return own, known[name], title_of(evaluation, name)
 
 
-def _model_and_rival(
-    evaluation: Evaluation, score: str, step: int | None = None
-) -> tuple[float, float]:
-    """Return the model's error and that of the better simple rival."""
-    return _named_rival(evaluation, score, step)[:2]
-
-
 def _judge_edges(evaluation: Evaluation) -> int | None:
     """Compare wrong pairs of the model with those of the better of two that need no model."""
-    wrong = [
-        1 - evaluation.edge_score("accuracy", name)
-        for name in (evaluation.model, "stay-put", "commoner")
-    ]
-    return better(wrong[0], float(np.nanmin(wrong[1:])) if not np.isnan(wrong[1:]).all() else math.nan)
+    own = 1 - evaluation.edge_score("accuracy", evaluation.model)
+    others = [1 - evaluation.edge_score("accuracy", name) for name in ("stay-put", "commoner")]
+    return better(own, min((wrong for wrong in others if not math.isnan(wrong)), default=math.nan))
 
 
 def _farthest(evaluation: Evaluation) -> int:
@@ -395,12 +391,6 @@ def _farthest(evaluation: Evaluation) -> int:
     return max(horizons) if horizons else int(evaluation.scores["step"][-1])
 
 
-def _far_words(evaluation: Evaluation) -> str:
-    """Return the longest horizon in words."""
-    steps = _farthest(evaluation)
-    return f"{steps} step{'s' * (steps > 1)} ahead" + (" (rolling)" if steps == 1 else "")
-
-
-def _list(words: list[str]) -> str:
+def joined(words: list[str]) -> str:
     """Return words joined as in a sentence."""
     return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1]

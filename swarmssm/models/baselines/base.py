@@ -7,6 +7,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from swarmssm.errors import InputError
+from swarmssm.metrics.masked import known
 from swarmssm.tracks import Array, states_of, with_trials
 
 __all__ = ["Baseline"]
@@ -76,10 +77,10 @@ class Baseline:
         states, fps = states_of(tracks), float(tracks.attrs["fps"])
         self.learn(states, fps)
         errors = states - self.one_step(states, fps)
-        known = errors[np.isfinite(errors).all(axis=-1)]
-        if len(known) < 2:
+        seen = errors[known(errors)]
+        if len(seen) < 2:
             raise InputError("tracks: there are not two steps to learn from.")
-        self.residual_covariance = np.cov(known, rowvar=False)
+        self.residual_covariance = np.cov(seen, rowvar=False)
         return self
 
     def one_step(self, states: Array, fps: float) -> Array:
@@ -215,7 +216,7 @@ class Baseline:
 
 def _last_frames(states: Array) -> npt.NDArray[np.int64]:
     """Return each trial's last row in which anybody's state is known."""
-    anybody = np.isfinite(states).all(axis=-1).any(axis=-1)
+    anybody = np.logical_or.reduce(known(states), axis=-1)
     if not anybody.any(axis=-1).all():
         raise InputError("tracks: in one trial nobody is seen in two consecutive frames.")
     last: npt.NDArray[np.int64] = anybody.shape[1] - 1 - np.argmax(anybody[:, ::-1], axis=1)

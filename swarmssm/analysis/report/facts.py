@@ -1,0 +1,135 @@
+"""What a run was made of: data, model, provenance, as labels with their text."""
+
+from typing import Any
+
+import xarray as xr
+
+from swarmssm.analysis.evaluation import Evaluation
+from swarmssm.analysis.table import format_number as number
+from swarmssm.inference import Fit
+from swarmssm.summary import summarize
+
+__all__ = ["data_facts", "model_facts", "provenance_facts"]
+
+Facts = list[tuple[str, str]]
+
+#: Attributes of tracks that say where they come from, in this order.
+ORIGIN = ("species", "source", "scale", "attribution", "license", "changes")
+#: What the ready-made parts are, for a reader who has not read their code.
+IN_WORDS = {
+    "graph-vae": (
+        "The thesis's graph variational autoencoder: a latent state for each individual and frame, "
+        "drawn from N(0, I), is decoded into its next state, and each pair's into their next edge. "
+        "Nothing links one frame's latent states to the next."
+    ),
+    "encoder": (
+        "The thesis's encoder: a gated graph network and graph convolutions read each frame's "
+        "states along its interaction graph, and give mean and variance of the latent states."
+    ),
+}
+
+
+def data_facts(fit: Fit, tracks: xr.Dataset, evaluation: Evaluation) -> Facts:
+    """Return what was recorded, what of it was scored, and to whom it is owed."""
+    found = summarize(tracks)
+    unit = found["unit"]
+    facts = [
+        ("individuals", str(found["individuals"])),
+        ("trials", str(found["trials"])),
+        (
+            "frames",
+            f"{found['frames']} at {number(found['fps'])} a second ({number(found['seconds'])} s)",
+        ),
+        ("tracked", f"{100 * found['observed']:.1f} % of individuals and frames"),
+        (
+            "gaps",
+            f"{found['gaps']}, the longest of {found['longest_gap']} frames"
+            if found["gaps"]
+            else "none",
+        ),
+        ("unit of length", unit or "not given"),
+        ("graph", _graph_words(fit)),
+        ("scored part", _part_words(fit, evaluation)),
+        (
+            "source",
+            " ".join(filter(None, (found["source_software"], found["source_file"]))) or "not given",
+        ),
+    ]
+    facts += [(name, str(tracks.attrs[name])) for name in ORIGIN if tracks.attrs.get(name)]
+    return facts
+
+
+def model_facts(fit: Fit) -> Facts:
+    """Return model, guide and what they were fitted with."""
+    settings = fit.settings
+    facts = [
+        ("model", _described(settings.model)),
+        ("guide", _described(settings.guide)),
+        ("learned numbers", str(fit.num_parameters)),
+    ]
+    left = {"model", "guide"}
+    for name, value in settings.model_dump(mode="json").items():
+        if name in left or value is None or value == {}:
+            continue
+        facts.append((name.replace("_", " "), _words(value)))
+    return facts
+
+
+def provenance_facts(fit: Fit, evaluation: Evaluation) -> Facts:
+    """Return versions, data, digests and how it was scored."""
+    provenance = fit.provenance
+    facts: Facts = []
+    if provenance.get("created"):
+        facts.append(("fitted", str(provenance["created"])))
+    versions = provenance.get("versions") or {}
+    if versions:
+        facts.append(("versions", ", ".join(f"{k} {v}" for k, v in versions.items())))
+    if provenance.get("platform"):
+        facts.append(("platform", str(provenance["platform"])))
+    data = provenance.get("data") or {}
+    facts += [(f"data: {k}", str(v)) for k, v in data.items() if v]
+    facts += [(f"sha256 of {k}", str(v)) for k, v in (provenance.get("files") or {}).items()]
+    shown = ("part", "horizons", "origins", "free_run_steps", "starts", "draws", "seed", "edges")
+    scoring = ", ".join(
+        f"{name.replace('_', ' ')} {_words(evaluation.settings[name])}" for name in shown
+    )
+    facts.append(("scored with", scoring))
+    facts.append(("L (4.1)", f"{number(evaluation.settings['L'])} (scaled states)"))
+    return facts
+
+
+def _described(name: str) -> str:
+    """Return a part's name with what it is, if that is known."""
+    return f"{name}. {IN_WORDS[name]}" if name in IN_WORDS else name
+
+
+def _graph_words(fit: Fit) -> str:
+    """Return who sees whom."""
+    preparation = fit.preparation
+    rule = "" if preparation.rule is None else str(preparation.rule)
+    if preparation.own_graph:
+        return f"that of the tracks ({rule})" if rule else "that of the tracks"
+    return f"made by the rule {rule}"
+
+
+def _part_words(fit: Fit, evaluation: Evaluation) -> str:
+    """Return which frames were scored."""
+    part = evaluation.settings["part"]
+    if part == "all":
+        return "all frames"
+    frames = sum(s.stop - s.start for s in fit.split.part(part))
+    segments = len(fit.split.part(part))
+    return f"{part}: {frames} frames of {segments} trial{'s' * (segments > 1)}"
+
+
+def _words(value: Any) -> str:
+    """Return a setting as text."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, dict):
+        return ", ".join(f"{k} {_words(v)}" for k, v in value.items())
+    if isinstance(value, list | tuple):
+        return ", ".join(_words(v) for v in value)
+    if isinstance(value, float):
+        return f"{value:g}"
+    return str(value)
