@@ -31,7 +31,8 @@ def imitation(subject: Subject, forecaster: Forecaster, one_step: Array, seed: i
     free[0] = true[0]
     if steps:
         runs = forecaster.free_runs(np.array([trial]), np.array([first]), steps, draws=1, seed=seed)
-        free[1:] = runs[0, 0]
+        if runs is not None:
+            free[1:] = runs[0, 0]
     single = one_step[trial, first : first + steps + 1]
     dims = ("time", "individual", "space")
     data = {}

@@ -18,6 +18,7 @@ import typer
 from swarmssm.errors import InputError
 
 if TYPE_CHECKING:
+    from swarmssm.analysis import Evaluation
     from swarmssm.inference import Progress
 
 __all__ = [
@@ -26,6 +27,7 @@ __all__ = [
     "TableFormat",
     "TrustCode",
     "named_values",
+    "print_evaluation",
     "print_json",
     "print_table",
     "say",
@@ -74,6 +76,23 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[obje
         table.add_row(*(rich.markup.escape(short(cell)) for cell in row))
     width = None if sys.stdout.isatty() else 120
     rich.console.Console(width=width, highlight=False).print(table)
+
+
+def print_rows(title: str, rows: Sequence[Mapping[str, object]]) -> None:
+    """Print rows that all have the same columns."""
+    if rows:
+        print_table(title, list(rows[0]), [list(row.values()) for row in rows])
+
+
+def print_evaluation(title: str, result: "Evaluation") -> None:
+    """Print the scores of a fit beside those of its rivals."""
+    from swarmssm import analysis
+
+    print_rows(title, analysis.scores_table(result))
+    print_rows("squared error at each step ahead, scaled states", analysis.horizon_table(result))
+    print_rows("edges of the next graph", analysis.edge_table(result))
+    for note in result.notes:
+        say(note)
 
 
 def print_json(value: object) -> None:

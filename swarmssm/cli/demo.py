@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from swarmssm.cli.console import Overwrite, Seed, print_table, say, training_progress
+from swarmssm.cli.console import Overwrite, Seed, print_evaluation, say, training_progress
 from swarmssm.errors import InputError
 
 __all__ = ["demo"]
@@ -61,8 +61,7 @@ def demo(
                 seed=seed,
             )
         result = analysis.evaluate(fitted, tracks, seed=seed)
-        columns, rows = analysis.scores_table(result)
-        print_table(title, columns, rows)
+        print_evaluation(title, result)
         sections.append((title, fitted, tracks, result))
     analysis.report_many(sections, marker, overwrite=True)
     say(f"{marker}: written. Open it in a browser.")

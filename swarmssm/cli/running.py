@@ -12,8 +12,8 @@ from swarmssm.cli.console import (
     Seed,
     TableFormat,
     TrustCode,
+    print_evaluation,
     print_json,
-    print_table,
     say,
     write_json,
 )
@@ -41,8 +41,12 @@ def evaluate(
     file: File,
     horizons: Annotated[str, typer.Option(help="Steps ahead, with commas.")] = "1,5,10,20,50",
     part: Annotated[
-        str, typer.Option(help="auto, train, validation, test or all of the file.")
-    ] = "auto",
+        str | None,
+        typer.Option(
+            help="train, validation, test or all. Default: the test part of the run's own file, "
+            "and all of another."
+        ),
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="JSON file to write.")] = None,
     format: Annotated[
         TableFormat, typer.Option("--format", help="Print text or JSON.")
@@ -66,10 +70,7 @@ def evaluate(
     if format is TableFormat.json:
         print_json(result.to_dict())
         return
-    columns, rows = analysis.scores_table(result)
-    print_table("", columns, rows)
-    for note in result.notes:
-        say(note)
+    print_evaluation(str(run), result)
     if out is not None:
         say(f"{out}: written.")
 

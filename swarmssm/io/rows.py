@@ -208,8 +208,9 @@ def _check_same_members(rows: Rows, member: Codes) -> None:
         if absent:
             raise InputError(
                 f"{rows.table.path}: trial {shorten(name)} has {len(everyone) - len(absent)} of "
-                f"{len(everyone)} individuals; {named_list([rows.individuals[i] for i in absent])} "
-                "never occur in it. Mend the labels, or read it with pad_trials if that is right."
+                f"{len(everyone)} individuals, without "
+                f"{named_list([rows.individuals[i] for i in absent])}. Mend the labels, or read it "
+                "with pad_trials if that is right."
             )
 
 

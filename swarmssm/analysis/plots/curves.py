@@ -148,8 +148,8 @@ def plot_training(
         if name in history and np.isfinite(history[name]).any():
             colour = colour_of("") if name == "loss" else colour_of("constant-velocity")
             loss.plot(epochs, history[name], style, color=colour, linewidth=1.5, label=title)
-    drawn = np.concatenate([np.asarray(line.get_ydata(), float) for line in loss.lines] or [[]])
-    if np.nanmin(drawn, initial=np.inf) > 0:
+    lowest = min((float(np.nanmin(line.get_ydata())) for line in loss.lines), default=np.inf)
+    if lowest > 0:
         log_scale(loss)
     else:
         loss.set_yscale("symlog", linthresh=1.0)

@@ -114,8 +114,16 @@ def label_axes(ax: Axes, coordinates: list[str], unit: str) -> None:
 def log_scale(ax: Axes) -> None:
     """Give the y axis a logarithmic scale with plain numbers, also within less than a decade."""
     ax.set_yscale("log")
-    ax.yaxis.set_major_formatter(LogFormatter())
-    ax.yaxis.set_minor_formatter(LogFormatter(labelOnlyBase=False, minor_thresholds=(2.0, 0.6)))
+    ax.yaxis.set_major_formatter(_PlainLogFormatter())
+    ax.yaxis.set_minor_formatter(_PlainLogFormatter(False, minor_thresholds=(1.5, 0.5)))
+
+
+class _PlainLogFormatter(LogFormatter):
+    """Labels where its parent has some, and writes 0.02 rather than 2e-02."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        """Return the label of a tick."""
+        return f"{x:g}" if super().__call__(x, pos) else ""
 
 
 def whole_numbers(ax: Axes) -> None:

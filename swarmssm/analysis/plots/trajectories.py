@@ -148,6 +148,7 @@ def plot_random_starts(
             color="#7f7f7f",
             label="start",
         )
+    _same_limits(grid[0], [runs["position"]])
     return figure, grid[0]
 
 
