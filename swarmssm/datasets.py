@@ -6,9 +6,9 @@ import numpy as np
 import xarray as xr
 
 from swarmssm.errors import InputError
-from swarmssm.tracks import make_tracks
+from swarmssm.tracks import Array, make_tracks
 
-__all__ = ["load_sunbleak"]
+__all__ = ["load_sunbleak", "load_sunbleak_groups"]
 
 TEXTS = ("scale", "species", "source", "license", "attribution", "changes")
 
@@ -84,3 +84,73 @@ def load_sunbleak(individuals: int | None = 10) -> xr.Dataset:
         source_file="sunbleak.npz",
         attrs={name: str(arrays[name]) for name in TEXTS},
     )
+
+
+def load_sunbleak_groups(individuals: int = 10, groups: int = 8) -> xr.Dataset:
+    """Return several groups of the shoal of :func:`load_sunbleak`, no fish in two of them.
+
+    One group of ten swims through a corner of the tank in five seconds; several tell more of the
+    shoal. The first is that of :func:`load_sunbleak`. Each other one is, among the fish not yet
+    taken, a fish with those nearest to it, such that the mean distance in the group is least;
+    distances of two fish are means over the frames in which both are seen.
+
+    Parameters
+    ----------
+    individuals
+        Fish in each group, at least 2.
+    groups
+        How many.
+
+    Returns
+    -------
+    Tracks as of :func:`load_sunbleak`, in which each group is a trial of the same five seconds,
+    and ``fish (trial, individual)`` holds the tracker's numbers.
+
+    Raises
+    ------
+    InputError
+        If there are not so many fish.
+    """
+    shoal = load_sunbleak(None)
+    most = shoal.sizes["individual"]
+    if individuals < 2 or groups < 1 or individuals * groups > most:
+        raise InputError(
+            f"groups: {groups} groups of {individuals} fish cannot be made of {most} fish; a group "
+            "has at least 2."
+        )
+    position = shoal["position"].transpose("time", "individual", "space").to_numpy()
+    members = [np.arange(individuals)]
+    distance = _mean_distances(position)
+    distance[members[0]] = distance[:, members[0]] = np.inf
+    for _ in range(groups - 1):
+        nearest = np.argsort(distance, axis=1, kind="stable")[:, :individuals]
+        spread = distance[nearest[:, :, None], nearest[:, None, :]].sum(axis=(1, 2))
+        chosen = nearest[int(np.argmin(spread))]
+        members.append(chosen)
+        distance[chosen] = distance[:, chosen] = np.inf
+    return make_tracks(
+        np.stack([position[:, group] for group in members]),
+        fps=shoal.attrs["fps"],
+        frames=shoal["frame"].to_numpy(),
+        trials=[f"group {number}" for number in range(1, groups + 1)],
+        variables={"fish": (("trial", "individual"), shoal["individual"].to_numpy()[members])},
+        unit=shoal.attrs["unit"],
+        source_software="TRex",
+        source_file="sunbleak.npz",
+        attrs={name: shoal.attrs[name] for name in TEXTS},
+    )
+
+
+def _mean_distances(position: Array) -> Array:
+    """Return the mean distance of each two fish over the frames in which both are seen.
+
+    A fish is at distance 0 of itself; two that are never seen together are infinitely far apart.
+    """
+    total = np.zeros((position.shape[1],) * 2)
+    count = np.zeros_like(total)
+    for frame in position:
+        apart = np.sqrt(((frame[:, None] - frame[None]) ** 2).sum(-1))
+        known = np.isfinite(apart)
+        total += np.where(known, apart, 0.0)
+        count += known
+    return np.where(count > 0, total / np.maximum(count, 1), np.inf)

@@ -105,6 +105,7 @@ def evaluate(
     forecasters += [BaselineForecaster(subject, kind()) for kind in BASELINES.values()]
     law, reason = law_forecaster(subject)
     notes = [*subject.notes]
+    horizons = [int(k) for k in horizons]
     if law is not None:
         forecasters.append(law)
     elif reason:
@@ -299,8 +300,9 @@ def _check(
     seed: int,
 ) -> None:
     """Refuse arguments that are out of range."""
-    steps = [int(k) for k in horizons]
-    if not steps or min(steps) < 1 or any(b <= a for a, b in itertools.pairwise(steps)):
+    whole = all(isinstance(k, int | np.integer) for k in horizons)
+    rising = all(b > a for a, b in itertools.pairwise(horizons))
+    if not whole or not rising or not horizons or horizons[0] < 1:
         raise InputError(
             f"horizons: give rising whole numbers of steps from 1 upwards, not {list(horizons)}."
         )

@@ -139,6 +139,11 @@ def _over_runs(flat: Array, share: float | None) -> Array:
     some = np.logical_or.reduce(~np.isnan(flat), axis=0) & ~lost
     if some.any():
         part = flat[:, some]
-        out[some] = np.nanmean(part, 0) if share is None else np.nanquantile(part, share, axis=0)
+        if share is None:
+            out[some] = np.nanmean(part, axis=0)
+        elif np.isnan(part).any():
+            out[some] = np.nanquantile(part, share, axis=0)
+        else:
+            out[some] = np.quantile(part, share, axis=0)
     out[lost] = np.inf
     return out

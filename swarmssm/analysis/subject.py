@@ -179,14 +179,14 @@ def _words(part: str) -> str:
 def _smoothed_causally(tracks: xr.Dataset, training: xr.Dataset | None) -> xr.Dataset:
     """Return the tracks with velocities each smoothed from the frames up to its own alone."""
     fps = tracks.attrs["fps"]
-    source = tracks if training is None else training
-    process, observation = estimate_noise(_positions(source), fps)
+    # Without a training part to learn the noise from, each history tells its own.
+    noise = (None, None) if training is None else estimate_noise(_positions(training), fps)
     position = _positions(tracks)
     velocity = np.full(position.shape, np.nan)
     for row in range(1, position.shape[1]):
         history = position[:, max(0, row + 1 - SMOOTHED_HISTORY) : row + 1]
         smoothed = smooth_positions(
-            history, fps, process_noise=process, observation_noise=observation
+            history, fps, process_noise=noise[0], observation_noise=noise[1]
         )
         velocity[:, row] = smoothed[:, -1, :, position.shape[-1] :]
     dims = ("trial", "time", "space", "individual")

@@ -11,7 +11,10 @@ from swarmssm.errors import InputError
 __all__ = ["demo"]
 
 FISH, FLOCK = "sunbleak", "boids"
-NUM_FISH, NUM_BOIDS, NUM_FRAMES, NUM_TRIALS = 10, 10, 1000, 5
+NUM_FISH, NUM_GROUPS = 10, 8
+NUM_BOIDS, NUM_FRAMES, NUM_TRIALS = 10, 1000, 5
+#: The fish are asked about their own future, the flock, as a rule stays a rule, about new flights.
+SPLIT = {FISH: "time", FLOCK: "trial"}
 
 
 def demo(
@@ -38,7 +41,7 @@ def demo(
         raise InputError(f"{out}: it is not a demo's folder, and is not overwritten.")
     out.mkdir(parents=True, exist_ok=True)
     swarms = {
-        FISH: ("Sunbleak, a real school", datasets.load_sunbleak(NUM_FISH)),
+        FISH: ("Sunbleak, a real shoal", datasets.load_sunbleak_groups(NUM_FISH, NUM_GROUPS)),
         FLOCK: (
             "Boids, a simulated flock",
             simulate_boids(NUM_BOIDS, NUM_FRAMES, NUM_TRIALS, seed=seed),
@@ -58,6 +61,7 @@ def demo(
                 overwrite=True,
                 callbacks=[show],
                 epochs=epochs,
+                split_by=SPLIT[name],
                 seed=seed,
             )
         result = analysis.evaluate(fitted, tracks, seed=seed)

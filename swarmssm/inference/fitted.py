@@ -15,7 +15,7 @@ from swarmssm.inference.forecasting import Stepper, Trajectory, seeded
 from swarmssm.inference.run_folder import Run, load_run, save_run
 from swarmssm.inference.starting import Start, fullest_frames, last_frames, start_at
 from swarmssm.splits import take
-from swarmssm.tracks import Array, make_tracks
+from swarmssm.tracks import MAX_COORDINATE, Array, make_tracks
 
 __all__ = ["Fit"]
 
@@ -71,7 +71,13 @@ class Fit(Run):
         -------
         Dataset with ``mean`` and ``sd`` ``(trial, time, individual, latent)`` and, if there are
         draws, ``states`` ``(draw, trial, time, individual, latent)``; NaN where not observed.
+
+        Raises
+        ------
+        InputError
+            If ``draws`` is negative, or the tracks do not fit the model.
         """
+        _check_count("draws", draws, 0)
         prepared = self.prepare(tracks)
         hidden = ~prepared.mask.unsqueeze(-1)
 
@@ -115,7 +121,13 @@ class Fit(Run):
         the tracks' units and ``edge_probability ([draw,] trial, time, individual, neighbor)``; the
         first frame of a trial, and whatever follows a frame in which an individual was not
         observed, is NaN.
+
+        Raises
+        ------
+        InputError
+            If ``draws`` is negative, or the tracks do not fit the model.
         """
+        _check_count("draws", draws, 0)
         prepared = self.prepare(tracks)
         absent = ~prepared.mask
 
@@ -181,7 +193,8 @@ class Fit(Run):
         Raises
         ------
         InputError
-            If ``horizon`` is not positive.
+            If ``horizon`` is not positive, ``draws`` is negative, ``edges`` is unknown, or the
+            tracks do not fit the model.
         """
         _check_count("horizon", horizon, 1)
         _check_count("draws", draws, 0)
@@ -237,7 +250,8 @@ class Fit(Run):
         Raises
         ------
         InputError
-            If ``steps`` is not positive.
+            If ``steps`` is not positive, ``draws`` is negative, ``edges`` is unknown, or the
+            tracks do not fit the model.
         WorkError
             If the run leaves all bounds.
         """
@@ -251,7 +265,9 @@ class Fit(Run):
         states = self.preparation.scaler.inverse_tensor(states)
         first = start.unscaled.expand(runs, *start.unscaled.shape).unsqueeze(2)
         whole = torch.cat([first, states], dim=2).numpy()
-        if not np.isfinite(whole[~np.isnan(whole)]).all():
+        # Only who was absent from the start may be unknown: what is not a number has diverged too.
+        seen = np.broadcast_to(start.present.numpy()[None, :, None, :, None], whole.shape)
+        if not (np.abs(whole[seen]) <= MAX_COORDINATE).all():
             raise WorkError("rollout: the free run left all bounds; take fewer steps.")
         graph = path.adjacency.reshape(runs, *path.adjacency.shape[-4:])
         first = start.adjacency.bool().expand(runs, -1, -1, -1).unsqueeze(2)

@@ -4,6 +4,7 @@ import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import pyro
 import torch
 
 from swarmssm.errors import InputError
@@ -105,17 +106,19 @@ class Stepper:
         frames, probabilities, graphs = [], [], []
         states = states.masked_fill(gone, 0.0)
         graph = adjacency.to(states.dtype) * pairs
-        for _ in range(steps):
-            posterior = self.guide.encode(states, graph)
-            latent = posterior.sample() if sample else posterior.mean
-            following = self.model.decode(latent)
-            drawn = following.states.sample() if sample else following.states.mean
-            probability = following.edge_logits.sigmoid() * pairs
-            states = drawn.masked_fill(gone, 0.0)
-            graph = self._graph(states, probability, gone, sample) * pairs
-            frames.append(states.masked_fill(gone, torch.nan))
-            probabilities.append(probability)
-            graphs.append(graph.bool())
+        # A run that leaves all bounds is for the caller to judge, not for the distributions.
+        with pyro.validation_enabled(False):
+            for _ in range(steps):
+                posterior = self.guide.encode(states, graph)
+                latent = posterior.sample() if sample else posterior.mean
+                following = self.model.decode(latent)
+                drawn = following.states.sample() if sample else following.states.mean
+                probability = following.edge_logits.sigmoid().nan_to_num() * pairs
+                states = drawn.masked_fill(gone, 0.0)
+                graph = self._graph(states, probability, gone, sample) * pairs
+                frames.append(states.masked_fill(gone, torch.nan))
+                probabilities.append(probability)
+                graphs.append(graph.bool())
         return Trajectory(
             *(torch.stack(column, dim=-3) for column in (frames, probabilities, graphs))
         )

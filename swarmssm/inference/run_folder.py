@@ -293,7 +293,7 @@ def load_run(folder: Path, *, trust_code: bool = False) -> Run:
     config = read_json(folder / CONFIG)
     settings = settings_from(_table(config, "settings", folder), str(folder / CONFIG))
     for name, ready in ((settings.model, MODELS), (settings.guide, GUIDES)):
-        if name not in ready and not trust_code:
+        if name not in ready and ":" in name and not trust_code:
             raise InputError(
                 f"{folder}: the run names the code {name}, which loading it would execute. If you "
                 "trust that code, say so (--trust-code)."
@@ -301,12 +301,16 @@ def load_run(folder: Path, *, trust_code: bool = False) -> Run:
     try:
         preparation = _preparation(_table(config, "preparation", folder))
         split = Split.from_dict(_table(config, "split", folder))
-        history = pd.read_csv(folder / HISTORY, float_precision="round_trip")
+        # By way of text: pandas' own reading of numbers may miss the last digit.
+        history = pd.read_csv(folder / HISTORY, dtype=str).astype(numpy.float64)
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"{folder}: {CONFIG} or {HISTORY} cannot be understood ({error})."
         ) from error
-    model, guide = build_modules(settings, len(preparation.scaler.offset))
+    try:
+        model, guide = build_modules(settings, len(preparation.scaler.offset))
+    except InputError as error:
+        raise InputError(f"{folder / CONFIG}: {error}") from error
     weights, _ = read_tensors(folder / WEIGHTS)
     for part, module in (("model", model), ("guide", guide)):
         start = f"{part}."

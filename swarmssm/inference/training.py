@@ -180,7 +180,9 @@ def train(
         finished = run.epoch == run.num_epochs
         row = run.record(loss) if finished or run.epoch % run.record_every == 0 else None
         for callback in callbacks:
-            callback(Progress(run.epoch, run.num_epochs, run.step, loss, row))
+            # Whoever watches may draw without changing what is drawn in training.
+            with torch.random.fork_rng():
+                callback(Progress(run.epoch, run.num_epochs, run.step, loss, row))
         due = run.step - last_saved >= settings.checkpoint_every
         if due or run.is_over():
             run.check_weights()

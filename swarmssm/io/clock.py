@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from swarmssm.errors import InputError
 from swarmssm.timegrid import MAX_JITTER, MAX_SPARSITY, Array, check_fps, rate_of
+from swarmssm.validation import MAX_COORDINATE
 
 __all__ = ["Clock", "Place", "clock_of", "row_name"]
 
@@ -158,9 +159,12 @@ def _whole(where: object, values: Array, place: Place) -> npt.NDArray[np.int64]:
 def _check_increasing(where: object, what: str, values: Array, place: Place) -> None:
     """Refuse values that are not finite or do not increase, naming the first place."""
     bad = ~np.isfinite(values)
+    bad |= np.abs(values) > MAX_COORDINATE
     if bad.any():
         row = int(np.argmax(bad))
-        raise InputError(f"{where}: the {what} in {place(row)} is {values[row]:g}; give a number.")
+        raise InputError(
+            f"{where}: the {what} in {place(row)} is {values[row]:g}; mend it or take the row away."
+        )
     wrong = np.diff(values) <= 0
     if wrong.any():
         row = int(np.argmax(wrong)) + 1

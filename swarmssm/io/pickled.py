@@ -22,8 +22,8 @@ from swarmssm.io.opening import reading, shorten
 
 __all__ = ["is_pickle", "load_pickled_dict"]
 
-#: Opcodes that ask for memory which the bytes of the pickle do not bound, or for code elsewhere.
-REFUSED_OPCODES = {"BYTEARRAY8", "NEXT_BUFFER", "EXT1", "EXT2", "EXT4", "PERSID", "BINPERSID"}
+#: Opcodes that point to what lies outside of the pickle.
+REFUSED_OPCODES = {"NEXT_BUFFER", "EXT1", "EXT2", "EXT4", "PERSID", "BINPERSID"}
 SIMPLE_KINDS = "biufcSU"
 
 
@@ -70,7 +70,11 @@ def load_pickled_dict(path: Path) -> dict[str, Any]:
 
 
 def _check_opcodes(path: Path, data: bytes) -> None:
-    """Walk through the pickle without running it."""
+    """Walk through the pickle without running it.
+
+    A text or number longer than the pickle ends the walk; an entry of the memo beyond its length
+    would make Python ask for memory up to there.
+    """
     for opcode, argument, _ in pickletools.genops(data):
         too_far = "PUT" in opcode.name and isinstance(argument, int) and argument > len(data)
         if opcode.name in REFUSED_OPCODES or too_far:
@@ -165,6 +169,15 @@ class _Encode(_Name):
         return text.encode("latin1")
 
 
+class _NoBytes(_Name):
+    """Empty bytes, as protocol 2 writes them."""
+
+    __slots__ = ()
+
+    def __call__(self) -> bytes:
+        return b""
+
+
 class _PathOf(_Name):
     __slots__ = ()
 
@@ -180,11 +193,21 @@ NAMES: dict[tuple[str, str], Any] = {
     ("numpy", "dtype"): _DtypeOf(),
     ("_codecs", "encode"): _Encode(),
     ("collections", "OrderedDict"): collections.OrderedDict,
+    ("builtins", "bytes"): _NoBytes(),
     ("builtins", "set"): set,
     ("builtins", "frozenset"): frozenset,
     ("builtins", "complex"): complex,
     ("pathlib", "PosixPath"): _PathOf(),
     ("pathlib", "WindowsPath"): _PathOf(),
+}
+
+
+#: Where Python 2 and 3.13, and numpy 2, keep these names.
+MOVED = {
+    "__builtin__": "builtins",
+    "pathlib._local": "pathlib",
+    "numpy._core.multiarray": "numpy.core.multiarray",
+    "numpy._core.numeric": "numpy.core.numeric",
 }
 
 
@@ -195,8 +218,7 @@ class _Unpickler(pickle.Unpickler):
 
     def find_class(self, module: str, name: str) -> Any:
         """Return what we have for a name, never what it names."""
-        # numpy 2 and Python 3.13 have moved these modules.
-        home = module.replace("numpy._core", "numpy.core").replace("pathlib._local", "pathlib")
+        home = MOVED.get(module, module)
         if (home, name) not in NAMES:
             raise InputError(
                 f"{self._path}: its pickle calls {shorten(f'{module}.{name}')}, which no file of "

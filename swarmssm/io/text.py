@@ -15,6 +15,7 @@ from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 
 from swarmssm.errors import InputError
 from swarmssm.io.opening import check_memory, reading, shorten
@@ -82,7 +83,7 @@ class TextTable:
         self.path = path
         check_memory(path, 4 * path.stat().st_size, "its text")
         self._text = _decoded(path)
-        self._lines: list[int] = []
+        self._lines: Sequence[int] = []
         header = self._find_header()
         self.names = [name.strip().strip('"').strip() for name in self._split_one(header)]
         # A separator at the end of each line, as idTracker writes it, makes no column.
@@ -169,11 +170,15 @@ class TextTable:
         InputError
             Naming the line of a ragged row, and line and column of a text or infinite cell.
         """
+        columns_at_once = self._load_at_once(numbers, texts, infinite)
+        if columns_at_once is not None:
+            return columns_at_once
         blocks: dict[int, list[npt.NDArray[Any]]] = {c: [] for c in (*numbers, *texts)}
-        self._lines = []
+        places: list[int] = []
+        self._lines = places
         with reading(self.path, "table"):
             for lines, rows in self._blocks():
-                self._lines.extend(lines)
+                places.extend(lines)
                 columns = list(zip(*rows, strict=True))
                 for column in texts:
                     blocks[column].append(np.array([cell.strip() for cell in columns[column]]))
@@ -184,6 +189,46 @@ class TextTable:
                     blocks[column].append(values)
         empty = np.empty(0)
         return {c: np.concatenate(parts) if parts else empty for c, parts in blocks.items()}
+
+    def _load_at_once(
+        self, numbers: Sequence[int], texts: Sequence[int], infinite: bool
+    ) -> dict[int, npt.NDArray[Any]] | None:
+        """Let pandas read an even and plain table, ten times faster; None if it is anything else.
+
+        Whatever is wrong is then found, and named by line, by the way through the rows.
+        """
+        body = self._text[self._start :].removesuffix("\n")
+        rows = body.count("\n") + 1
+        separators = rows * (len(self.names) - 1)
+        if not self._separator or '"' in body or body.count(self._separator) != separators:
+            return None
+        try:
+            frame = pd.read_csv(
+                io.StringIO(body),
+                sep=self._separator,
+                header=None,
+                names=range(len(self.names)),
+                index_col=False,
+                usecols=[*numbers, *texts],
+                dtype={**dict.fromkeys(numbers, np.float64), **dict.fromkeys(texts, "object")},
+                na_values=dict.fromkeys(numbers, sorted(ABSENT)),
+                keep_default_na=False,
+                skip_blank_lines=False,
+                float_precision="round_trip",
+                quoting=csv.QUOTE_NONE,
+            )
+        except (ValueError, OverflowError):
+            return None
+        # No row is longer than the header, or pandas would have stopped; so none is shorter.
+        values: dict[int, npt.NDArray[Any]] = {c: frame[c].to_numpy() for c in numbers}
+        if len(frame) != rows or not (
+            infinite or all(not np.isinf(column).any() for column in values.values())
+        ):
+            return None
+        for column in texts:
+            values[column] = np.array([str(cell).strip() for cell in frame[column]])
+        self._lines = range(self._first_line, self._first_line + rows)
+        return values
 
     def _blocks(self) -> Iterator[tuple[list[int], list[list[str]]]]:
         lines: list[int] = []

@@ -80,8 +80,8 @@ def read_trex_csv(
         wanted = [name for name in ("frame", *pair, "time", "missing") if name in columns]
         loaded = table.load([columns[name] for name in wanted], infinite=True)
         values = {name: loaded[columns[name]] for name in wanted}
-        found = UNIT.search(table.names[columns[pair[0]]])
-        unit = found["unit"] if found else unit
+        bracket = UNIT.search(table.names[columns[pair[0]]])
+        unit = bracket["unit"] if bracket else unit
         files.append(checked_file(file, values, pair, place=table.place))
     tracks, _ = tracks_of(files, place, fps=fps, unit=unit, centroid=centroid or "")
     return tracks

@@ -4,6 +4,7 @@ Each eye casts 512 rays; TRex stores for each ray which individual it meets firs
 next (layer 1). Two eyes of 260 degrees overlap in front, and their union is taken.
 """
 
+import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -132,7 +133,11 @@ def add_visual_field(
     numbers = np.array([file.number for file in files], dtype=np.int64)
     frame = tracks["frame"].to_numpy()
     shape = (len(frame), len(files), len(files))
-    check_memory(folder, 3 * int(np.prod(shape, dtype=np.float64)), "its adjacency")
+    check_memory(
+        folder,
+        3 * int(np.prod(shape, dtype=np.float64)),
+        "its adjacency (left out with visual_field=False)",
+    )
     adjacency = np.zeros(shape, dtype=np.uint8)
     known = np.zeros(shape[:2], dtype=np.uint8)
     order = np.argsort(numbers)

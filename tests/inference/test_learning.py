@@ -133,16 +133,15 @@ def hasty():
     return {
         "window": 20,
         "batch_windows": 4,
-        "lr": 0.3,
-        "clip": None,
+        "lr": 0.05,
         "schedule": "constant",
         "validate_every": 1,
-        "seed": 2,
+        "seed": 0,
     }
 
 
 def test_the_best_weights_are_kept(swarm, hasty):
-    fitted = fit(tracks=swarm, epochs=12, **hasty)
+    fitted = fit(tracks=swarm, epochs=4, **hasty)
     losses = fitted.history["validation_loss"]
     best = losses.min()
     assert best < losses.iloc[-1]

@@ -58,12 +58,7 @@ def test_same_seed_same_weights(fitted, again, weights_of):
 
 def test_settings_that_only_watch_change_no_weight(fitted, again, weights_of, tmp_path):
     """Neither rows of the history, checkpoints, a callback, nor whether Pyro validates."""
-    watched = again(
-        checkpoint_every=1, out=tmp_path / "run", callbacks=[lambda _: torch.rand(1).item()]
-    )
-    # The callback drew from the generator that training uses.
-    assert not same(weights_of(watched), weights_of(fitted))
-    watched = again(checkpoint_every=1, out=tmp_path / "other", callbacks=[lambda _: None])
+    watched = again(checkpoint_every=1, out=tmp_path / "run", callbacks=[lambda _: torch.rand(1)])
     assert same(weights_of(watched), weights_of(fitted))
     last = again(fractions=(0.7, 0, 0.3), validate_every=1)
     blind = again(fractions=(0.7, 0, 0.3), validate_every=3)

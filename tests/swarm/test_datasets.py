@@ -10,7 +10,7 @@ import pytest
 import xarray as xr
 
 from swarmssm import metrics
-from swarmssm.datasets import load_sunbleak
+from swarmssm.datasets import load_sunbleak, load_sunbleak_groups
 from swarmssm.errors import InputError
 from swarmssm.tracks import validate_tracks
 
@@ -185,3 +185,42 @@ def test_swaps_leave_a_seed_that_does_not_belong(maker):
     # Grown from 0, the group is {0, 1}; the best pair is {2, 3}, which swaps reach one by one.
     bonds = np.array([[0, 3, 2, 0], [3, 0, 4, 0], [2, 4, 0, 9], [0, 0, 9, 0]])
     assert maker._grown(bonds, 0, 2).tolist() == [False, False, True, True]
+
+
+def test_groups_share_no_fish_and_are_compact():
+    tracks = load_sunbleak_groups(10, 8)
+    assert tracks["position"].dims == ("trial", "time", "space", "individual")
+    assert dict(tracks.sizes) == {"trial": 8, "time": 200, "space": 2, "individual": 10}
+    fish = tracks["fish"].to_numpy()
+    assert len(set(fish.ravel())) == 80
+    np.testing.assert_array_equal(fish[0], load_sunbleak(10)["individual"])
+    np.testing.assert_array_equal(tracks["frame"], load_sunbleak(10)["frame"])
+    # Ten fish drawn at random from the shoal are spread over the whole tank.
+    shoal = load_sunbleak(None)
+    by_number = shoal["position"].sel(individual=fish[3])
+    np.testing.assert_array_equal(tracks["position"][3], by_number)
+    spread = tracks["position"].std("individual").mean(("time", "space"))
+    assert float(spread.max()) < float(shoal["position"].std("individual").mean()) / 4
+    assert tracks.attrs["license"] == shoal.attrs["license"]
+
+
+def test_each_group_is_the_tightest_of_the_fish_left():
+    tracks = load_sunbleak_groups(3, 2)
+    shoal = load_sunbleak(None).isel(individual=slice(3, None))
+    position = shoal["position"].transpose("time", "individual", "space").to_numpy()
+    apart = np.linalg.norm(position[:, :, None] - position[:, None], axis=-1)
+    mean = np.nanmean(apart, axis=0)
+    best = np.inf
+    for seed in mean:
+        group = np.argsort(seed, kind="stable")[:3]
+        spread = mean[np.ix_(group, group)].sum()
+        if spread < best:
+            best, members = spread, group
+    expected = set(shoal["individual"].to_numpy()[members])
+    assert set(tracks["fish"].to_numpy()[1]) == expected
+
+
+@pytest.mark.parametrize(("individuals", "groups"), [(10, 39), (1, 3), (10, 0)])
+def test_groups_that_there_are_not(individuals, groups):
+    with pytest.raises(InputError, match="groups"):
+        load_sunbleak_groups(individuals, groups)

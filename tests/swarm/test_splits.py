@@ -101,7 +101,7 @@ def test_each_trial_is_cut_by_its_own_extent():
     assert ragged.test == (Segment("0", 75, 100), Segment("1", 30, 40))
 
 
-@settings(max_examples=60)
+@settings(max_examples=40)
 @given(
     lengths=st.lists(st.integers(1, 60), min_size=1, max_size=6),
     by=st.sampled_from(["auto", "trial", "time"]),
@@ -419,7 +419,7 @@ def derived(tracks: xr.Dataset) -> dict[str, Array]:
     return found
 
 
-@settings(max_examples=15)
+@settings(max_examples=12)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(["trial", "time"]), st.sampled_from([0, 3]))
 def test_nothing_of_the_test_part_reaches_the_training_part(seed: int, by: str, gap: int):
     generator = np.random.default_rng(seed)

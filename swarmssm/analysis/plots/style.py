@@ -115,7 +115,7 @@ def log_scale(ax: Axes) -> None:
     """Give the y axis a logarithmic scale with plain numbers, also within less than a decade."""
     ax.set_yscale("log")
     ax.yaxis.set_major_formatter(_PlainLogFormatter())
-    ax.yaxis.set_minor_formatter(_PlainLogFormatter(False, minor_thresholds=(1.5, 0.5)))
+    ax.yaxis.set_minor_formatter(_PlainLogFormatter(minor_thresholds=(1.5, 0.5)))
 
 
 class _PlainLogFormatter(LogFormatter):

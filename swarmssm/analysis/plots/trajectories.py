@@ -156,22 +156,23 @@ def _draw_headings(ax: Axes, position: xr.DataArray, velocity: xr.DataArray, uni
     """Draw each individual with an arrow along its velocity."""
     place = position.transpose("individual", "space").to_numpy()[:, :2]
     speed = velocity.transpose("individual", "space").to_numpy()[:, :2]
-    length = np.linalg.norm(speed, axis=-1, keepdims=True)
-    heading = np.divide(speed, length, out=np.zeros_like(speed), where=length > 0)
+    length = np.linalg.norm(speed, axis=-1)
     seen = np.isfinite(place).all(axis=-1)
     colours = np.array(individual_colours(len(place)))
     ax.scatter(place[seen, 0], place[seen, 1], c=colours[seen], s=14, linewidths=0)
-    arrows = seen & np.isfinite(heading).all(axis=-1)
-    ax.quiver(
-        place[arrows, 0],
-        place[arrows, 1],
-        heading[arrows, 0],
-        heading[arrows, 1],
-        color=colours[arrows],
-        angles="xy",
-        scale=11,
-        width=0.012,
-    )
+    moving = seen & (length > 0)
+    if moving.any():
+        heading = speed[moving] / length[moving, None]
+        ax.quiver(
+            place[moving, 0],
+            place[moving, 1],
+            heading[:, 0],
+            heading[:, 1],
+            color=colours[moving],
+            angles="xy",
+            scale=11,
+            width=0.012,
+        )
     label_axes(ax, [str(name) for name in position["space"].values], unit)
 
 

@@ -94,11 +94,10 @@ def one_step_sentence(evaluation: Evaluation) -> str:
             )
     floor = evaluation.score("mse", "noise-floor")
     if floor > 0 and math.isfinite(own):
-        ratio = own / floor
         text += (
-            f"; the noise floor is {number(floor)}"
-            if ratio < 1 + ALIKE
-            else f"; the noise floor, {number(floor)}, is {times(ratio)} below {model}"
+            f"; {model} is at the noise floor, {number(floor)}"
+            if own <= floor * (1 + ALIKE)
+            else f"; the noise floor, {number(floor)}, is {times(own / floor)} below {model}"
         )
     return text + "."
 

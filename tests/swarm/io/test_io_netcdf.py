@@ -97,7 +97,7 @@ def test_what_is_no_tracks_is_not_written(tmp_path):
     with pytest.raises(InputError, match="no variable called position"):
         write(dataset, tmp_path / "t.nc")
     write_dataset(dataset, tmp_path / "t.nc")
-    with pytest.raises(InputError, match="neither position .* nor trajectories"):
+    with pytest.raises(InputError, match=r"neither position .* nor trajectories"):
         read(tmp_path / "t.nc")
 
 

@@ -1,0 +1,219 @@
+"""The report is one whole page: readable, honest, and nobody else's code."""
+
+import html.parser
+import re
+from dataclasses import replace
+
+import pytest
+
+from swarmssm.analysis import build_report, evaluate, report_many, report_run, write_report
+from swarmssm.analysis.report import section_of
+from swarmssm.errors import InputError
+
+VOID = {"area", "br", "col", "hr", "img", "input", "link", "meta", "source", "wbr"}
+FEW = {"horizons": (1, 5), "free_run_steps": 10, "draws": 2, "starts": 2, "origins": 10}
+EVIL = "<script>alert('&')</script>\"'><img src=x>$\\frac"
+
+
+class Page(html.parser.HTMLParser):
+    """Reads a page; fails on tags that are not closed in their order."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.tags, self.text = [], [], []
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs), tuple(self.open)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs), tuple(self.open)))
+
+    def handle_endtag(self, tag):
+        assert self.open, f"</{tag}> closes nothing"
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append((self.open[-1] if self.open else "", data))
+
+    def named(self, name):
+        return [attrs for tag, attrs, _ in self.tags if tag == name]
+
+    def words(self):
+        return " ".join(" ".join(text for tag, text in self.text if tag != "style").split())
+
+
+@pytest.fixture(scope="module")
+def evaluation(quick_fit, boids):
+    return evaluate(quick_fit, boids, **FEW)
+
+
+@pytest.fixture(scope="module")
+def page_text(quick_fit, boids, evaluation):
+    sections = [
+        section_of("First", quick_fit, boids, evaluation, anchor="run1"),
+        section_of("Second", quick_fit, boids, evaluation, anchor="run2"),
+    ]
+    return build_report(sections, "Both")
+
+
+@pytest.fixture(scope="module")
+def page(page_text):
+    return Page(page_text)
+
+
+def test_nothing_comes_from_elsewhere(page_text, page):
+    for _, attrs, _ in page.tags:
+        for name in ("src", "href", "xlink:href", "srcset", "action", "data"):
+            value = attrs.get(name) or "#"
+            assert value.startswith(("#", "data:image/png;base64,")), (name, value[:80])
+    for address in re.findall(r"url\(([^)]*)\)", page_text):
+        assert address.startswith("#"), address
+    assert "@import" not in page_text
+    assert not page.named("script")
+    assert not page.named("link")
+
+
+def test_what_is_linked_to_is_there(page):
+    places = [attrs["id"] for _, attrs, _ in page.tags if "id" in attrs]
+    assert len(places) == len(set(places))
+    for _, attrs, _ in page.tags:
+        for name in ("href", "xlink:href", "clip-path", "aria-labelledby"):
+            value = attrs.get(name, "")
+            if value.startswith(("#", "url(#")) or name == "aria-labelledby":
+                target = value.removeprefix("url(").removesuffix(")").removeprefix("#")
+                assert target in places or not value, value
+
+
+def test_each_figure_has_words_for_those_who_do_not_see_it(page):
+    pictures = page.named("svg")
+    assert len(pictures) == 18
+    for attrs in pictures:
+        assert attrs["role"] == "img"
+        assert len(attrs["aria-label"]) > 20
+    assert len(page.named("figcaption")) == 18
+    for attrs in page.named("img"):
+        assert attrs.get("alt")
+    titles = [data for tag, data in page.text if tag == "title"]
+    assert len(titles) == 19
+
+
+def test_headings_go_down_one_by_one(page):
+    levels = [int(tag[1]) for tag, _, _ in page.tags if re.fullmatch(r"h[1-6]", tag)]
+    assert levels[0] == 1
+    assert levels.count(1) == 1
+    assert all(after <= before + 1 for before, after in zip(levels, levels[1:], strict=False))
+    assert page.named("html")[0]["lang"] == "en"
+    assert page.named("meta")[1]["name"] == "viewport"
+
+
+def test_tables_name_their_rows_and_columns(page):
+    for attrs in page.named("th"):
+        assert attrs["scope"] in ("row", "col")
+    assert len(page.named("caption")) == len(page.named("table")) == 12
+
+
+def test_figures_take_the_ink_of_the_page(page_text):
+    assert "currentColor" in page_text
+    assert "#000000" not in page_text.split("</style>")[1]
+    assert "prefers-color-scheme: dark" in page_text
+    assert "@media print" in page_text
+
+
+def test_it_says_what_was_found(page, evaluation, quick_fit):
+    words = page.words()
+    assert "Both" in words
+    assert "Constant velocity has the lower one-step error" in words
+    assert "thesis Table II (boids)" in words
+    assert "compare with no other row" in words
+    assert f"{quick_fit.num_parameters}" in words
+    assert quick_fit.provenance["data"]["sha256"] in words
+    assert quick_fit.provenance["versions"]["torch"] in words
+    for note in evaluation.notes:
+        assert note in words
+
+
+def test_the_verdict_flips_with_the_numbers(planted, quick_fit, boids):
+    def page_of(**scores):
+        evaluation = planted(**scores)
+        return Page(build_report([section_of("Run", quick_fit, boids, evaluation)])).words()
+
+    good = page_of(mse=(0.02, 0.13, 0.2), squared_error=(0.1, 1.0, 1.0))
+    assert "graph-vae beats the best of the simple rivals" in good
+    assert "graph-vae has the lower one-step error: MSE 0.0200 against 0.130" in good
+    bad = page_of(mse=(0.13, 0.2, 0.02), squared_error=(2.0, 1.0, 1.0))
+    assert "graph-vae beats" not in bad
+    assert "does worse than" in bad
+    assert "Constant velocity has the lower one-step error: MSE 0.0200 against 0.130" in bad
+
+
+def test_hostile_names_stay_text(planted, quick_fit, boids):
+    names = [f"{EVIL}{i}" for i in range(5)]
+    tracks = boids.assign_coords(individual=names, neighbor=names)
+    tracks = tracks.assign_coords(trial=[f"{EVIL}{i}" for i in range(4)])
+    for name in ("unit", "source_file", "species", "license"):
+        tracks.attrs[name] = EVIL
+    evaluation = planted(unit=EVIL, notes=(EVIL,))
+    provenance = quick_fit.provenance | {"platform": EVIL, "data": {"file": EVIL}}
+    fit = replace(quick_fit, provenance=provenance)
+    text = build_report([section_of(EVIL, fit, tracks, evaluation, anchor=EVIL)], EVIL)
+    page = Page(text)
+    assert "<script" not in text
+    assert not page.named("script")
+    assert not page.named("img")
+    assert page.words().count("<script>alert('&')</script>") >= 8
+    whole = Page(build_report([section_of("Real", fit, tracks, evaluate(fit, tracks, **FEW))]))
+    assert not whole.named("script")
+
+
+def test_glyphs_that_matplotlib_lacks_are_no_trouble(planted, quick_fit, boids):
+    section = section_of("学校", quick_fit, boids, planted(unit="厘米"))
+    assert "厘米" in build_report([section])
+
+
+def test_the_tracks_of_others_need_no_attribution(planted, quick_fit, boids):
+    labels = [label for label, _ in section_of("Run", quick_fit, boids, planted()).data]
+    assert "license" not in labels
+    credited = boids.assign_attrs(license="CC BY 4.0", attribution="Someone (2020)")
+    section = section_of("Run", quick_fit, credited, planted())
+    assert ("license", "CC BY 4.0") in section.data
+    assert ("attribution", "Someone (2020)") in section.data
+
+
+def test_a_report_is_written_whole_and_not_over_another(tmp_path, quick_fit, boids, evaluation):
+    path = tmp_path / "r.html"
+    assert report_run(quick_fit, boids, path, evaluation=evaluation) == path
+    text = path.read_text(encoding="utf-8")
+    Page(text)
+    assert "graph-vae on tracks" in text
+    assert path.stat().st_size < 3_000_000
+    with pytest.raises(InputError, match="exists already"):
+        report_run(quick_fit, boids, path, evaluation=evaluation)
+    assert path.read_text(encoding="utf-8") == text
+    report_run(quick_fit, boids, path, title="Other", evaluation=evaluation, overwrite=True)
+    assert "<h1>Other</h1>" in path.read_text(encoding="utf-8")
+    assert [p.name for p in tmp_path.iterdir()] == ["r.html"]
+
+
+def test_many_runs_share_a_page(tmp_path, quick_fit, boids, evaluation):
+    path = tmp_path / "r.html"
+    runs = [("One", quick_fit, boids, evaluation), ("Two", quick_fit, boids)]
+    report_many(runs, path, title="All", **FEW)
+    page = Page(path.read_text(encoding="utf-8"))
+    headings = {data.strip() for tag, data in page.text if tag == "h2"}
+    assert {"In short", "One", "Two"} <= headings
+    assert page.words().count("loss fell") == 2
+
+
+def test_mistakes_are_told(tmp_path, quick_fit, boids, planted):
+    with pytest.raises(InputError, match="nothing to report"):
+        build_report([])
+    section = section_of("Run", quick_fit, boids, planted())
+    with pytest.raises(InputError, match="anchors must differ"):
+        build_report([section, section])
+    with pytest.raises(InputError, match="does not exist"):
+        write_report([section], tmp_path / "none" / "r.html")
