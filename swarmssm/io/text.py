@@ -15,7 +15,8 @@ from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
-import pandas as pd
+import pyarrow
+import pyarrow.csv
 
 from swarmssm.errors import InputError
 from swarmssm.io.opening import check_memory, reading, shorten
@@ -193,41 +194,40 @@ class TextTable:
     def _load_at_once(
         self, numbers: Sequence[int], texts: Sequence[int], infinite: bool
     ) -> dict[int, npt.NDArray[Any]] | None:
-        """Let pandas read an even and plain table, ten times faster; None if it is anything else.
+        """Let Arrow read a plain table, ten times faster; None if it is anything else.
 
-        Whatever is wrong is then found, and named by line, by the way through the rows.
+        Arrow refuses uneven rows and cells that are no numbers; the way through the
+        rows then finds the line, or understands what Arrow does not (quotes, decimal commas).
         """
-        body = self._text[self._start :].removesuffix("\n")
-        rows = body.count("\n") + 1
-        separators = rows * (len(self.names) - 1)
-        if not self._separator or '"' in body or body.count(self._separator) != separators:
+        body = self._text[self._start :].rstrip("\n")
+        # Arrow makes a row of an empty line.
+        if not self._separator or '"' in body or "\n\n" in body or body.startswith("\n"):
             return None
+        types = {str(c): pyarrow.float64() for c in numbers}
+        types |= {str(c): pyarrow.string() for c in texts}
         try:
-            frame = pd.read_csv(
-                io.StringIO(body),
-                sep=self._separator,
-                header=None,
-                names=range(len(self.names)),
-                index_col=False,
-                usecols=[*numbers, *texts],
-                dtype={**dict.fromkeys(numbers, np.float64), **dict.fromkeys(texts, "object")},
-                na_values=dict.fromkeys(numbers, sorted(ABSENT)),
-                keep_default_na=False,
-                skip_blank_lines=False,
-                float_precision="round_trip",
-                quoting=csv.QUOTE_NONE,
+            table = pyarrow.csv.read_csv(
+                pyarrow.BufferReader(body.encode()),
+                pyarrow.csv.ReadOptions(column_names=[str(c) for c in range(len(self.names))]),
+                pyarrow.csv.ParseOptions(delimiter=self._separator, quote_char=False),
+                pyarrow.csv.ConvertOptions(
+                    column_types=types,
+                    include_columns=list(types),
+                    null_values=sorted(ABSENT),
+                    strings_can_be_null=False,
+                ),
             )
-        except (ValueError, OverflowError):
+        except (pyarrow.ArrowException, ValueError):
             return None
-        # No row is longer than the header, or pandas would have stopped; so none is shorter.
-        values: dict[int, npt.NDArray[Any]] = {c: frame[c].to_numpy() for c in numbers}
-        if len(frame) != rows or not (
-            infinite or all(not np.isinf(column).any() for column in values.values())
-        ):
+        values: dict[int, npt.NDArray[Any]] = {
+            c: np.array(table[str(c)].to_numpy(), dtype=np.float64) for c in numbers
+        }
+        if not infinite and any(np.isinf(column).any() for column in values.values()):
             return None
         for column in texts:
-            values[column] = np.array([str(cell).strip() for cell in frame[column]])
-        self._lines = range(self._first_line, self._first_line + rows)
+            cells = table[str(column)].to_pylist()
+            values[column] = np.array([cell.strip() for cell in cells], dtype=str)
+        self._lines = range(self._first_line, self._first_line + table.num_rows)
         return values
 
     def _blocks(self) -> Iterator[tuple[list[int], list[list[str]]]]:

@@ -133,11 +133,8 @@ def add_visual_field(
     numbers = np.array([file.number for file in files], dtype=np.int64)
     frame = tracks["frame"].to_numpy()
     shape = (len(frame), len(files), len(files))
-    check_memory(
-        folder,
-        3 * int(np.prod(shape, dtype=np.float64)),
-        "its adjacency (left out with visual_field=False)",
-    )
+    needed = 3 * math.prod(shape)
+    check_memory(folder, needed, "its adjacency (left out with visual_field=False)")
     adjacency = np.zeros(shape, dtype=np.uint8)
     known = np.zeros(shape[:2], dtype=np.uint8)
     order = np.argsort(numbers)

@@ -95,7 +95,10 @@ def plant(**scores: Any) -> Evaluation:
     accuracy = np.asarray(scores.get("accuracy", (0.5, 0.5, 0.5, 0.5)), float)
     edges = xr.Dataset(
         {
-            name: (("predictor", "trial", "time"), np.broadcast_to(accuracy[:, None, None], (4, 1, 5)))
+            name: (
+                ("predictor", "trial", "time"),
+                np.broadcast_to(accuracy[:, None, None], (4, 1, 5)),
+            )
             for name in ("accuracy", "precision", "recall", "auc")
         },
         {

@@ -50,9 +50,7 @@ def test_one_step_of_the_model_is_that_of_its_predictive(evaluation, quick_fit, 
     squares = ((predicted - truth)[:, 1:] ** 2).sum(-1)
     length = half_mean_step(truth)
     assert evaluation.score("mse", MODEL) == pytest.approx(0.5 * squares.mean() / length)
-    assert evaluation.score("mae", MODEL) == pytest.approx(
-        0.5 * np.sqrt(squares).mean() / length
-    )
+    assert evaluation.score("mae", MODEL) == pytest.approx(0.5 * np.sqrt(squares).mean() / length)
 
 
 def test_staying_put_has_an_mae_of_one(evaluation, quick_fit, boids):

@@ -1,13 +1,22 @@
 """The report is one whole page: readable, honest, and nobody else's code."""
 
 import html.parser
+import itertools
 import re
 from dataclasses import replace
 
 import pytest
 
-from swarmssm.analysis import build_report, evaluate, report_many, report_run, write_report
-from swarmssm.analysis.report import section_of
+from swarmssm.analysis import (
+    build_report,
+    evaluate,
+    plots,
+    report_many,
+    report_run,
+    write_report,
+)
+from swarmssm.analysis.report import section_of, sections
+from swarmssm.analysis.report.embed import as_svg
 from swarmssm.errors import InputError
 
 VOID = {"area", "br", "col", "hr", "img", "input", "link", "meta", "source", "wbr"}
@@ -54,11 +63,11 @@ def evaluation(quick_fit, boids):
 
 @pytest.fixture(scope="module")
 def page_text(quick_fit, boids, evaluation):
-    sections = [
+    both = [
         section_of("First", quick_fit, boids, evaluation, anchor="run1"),
         section_of("Second", quick_fit, boids, evaluation, anchor="run2"),
     ]
-    return build_report(sections, "Both")
+    return build_report(both, "Both")
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +115,7 @@ def test_headings_go_down_one_by_one(page):
     levels = [int(tag[1]) for tag, _, _ in page.tags if re.fullmatch(r"h[1-6]", tag)]
     assert levels[0] == 1
     assert levels.count(1) == 1
-    assert all(after <= before + 1 for before, after in zip(levels, levels[1:], strict=False))
+    assert all(after <= before + 1 for before, after in itertools.pairwise(levels))
     assert page.named("html")[0]["lang"] == "en"
     assert page.named("meta")[1]["name"] == "viewport"
 
@@ -118,6 +127,7 @@ def test_tables_name_their_rows_and_columns(page):
 
 
 def test_figures_take_the_ink_of_the_page(page_text):
+    assert len(page_text) < 6_000_000
     assert "currentColor" in page_text
     assert "#000000" not in page_text.split("</style>")[1]
     assert "prefers-color-scheme: dark" in page_text
@@ -137,6 +147,13 @@ def test_it_says_what_was_found(page, evaluation, quick_fit):
         assert note in words
 
 
+@pytest.fixture
+def no_pictures(monkeypatch):
+    """Leave figures out where only words are looked at."""
+    monkeypatch.setattr(sections, "_pictures", lambda anchor, evaluation: [])
+
+
+@pytest.mark.usefixtures("no_pictures")
 def test_the_verdict_flips_with_the_numbers(planted, quick_fit, boids):
     def page_of(**scores):
         evaluation = planted(**scores)
@@ -166,15 +183,14 @@ def test_hostile_names_stay_text(planted, quick_fit, boids):
     assert not page.named("script")
     assert not page.named("img")
     assert page.words().count("<script>alert('&')</script>") >= 8
-    whole = Page(build_report([section_of("Real", fit, tracks, evaluate(fit, tracks, **FEW))]))
-    assert not whole.named("script")
 
 
-def test_glyphs_that_matplotlib_lacks_are_no_trouble(planted, quick_fit, boids):
-    section = section_of("学校", quick_fit, boids, planted(unit="厘米"))
-    assert "厘米" in build_report([section])
+def test_glyphs_that_matplotlib_lacks_are_no_trouble(planted):
+    figure, _ = plots.plot_collective(planted().collective, unit="厘米")
+    assert "AMD (厘米)" in as_svg(figure, "f", "学校")
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_the_tracks_of_others_need_no_attribution(planted, quick_fit, boids):
     labels = [label for label, _ in section_of("Run", quick_fit, boids, planted()).data]
     assert "license" not in labels
@@ -184,13 +200,13 @@ def test_the_tracks_of_others_need_no_attribution(planted, quick_fit, boids):
     assert ("attribution", "Someone (2020)") in section.data
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_a_report_is_written_whole_and_not_over_another(tmp_path, quick_fit, boids, evaluation):
     path = tmp_path / "r.html"
     assert report_run(quick_fit, boids, path, evaluation=evaluation) == path
     text = path.read_text(encoding="utf-8")
     Page(text)
-    assert "graph-vae on tracks" in text
-    assert path.stat().st_size < 3_000_000
+    assert "<h1>graph-vae on tracks</h1>" in text
     with pytest.raises(InputError, match="exists already"):
         report_run(quick_fit, boids, path, evaluation=evaluation)
     assert path.read_text(encoding="utf-8") == text
@@ -199,6 +215,7 @@ def test_a_report_is_written_whole_and_not_over_another(tmp_path, quick_fit, boi
     assert [p.name for p in tmp_path.iterdir()] == ["r.html"]
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_many_runs_share_a_page(tmp_path, quick_fit, boids, evaluation):
     path = tmp_path / "r.html"
     runs = [("One", quick_fit, boids, evaluation), ("Two", quick_fit, boids)]
@@ -206,9 +223,10 @@ def test_many_runs_share_a_page(tmp_path, quick_fit, boids, evaluation):
     page = Page(path.read_text(encoding="utf-8"))
     headings = {data.strip() for tag, data in page.text if tag == "h2"}
     assert {"In short", "One", "Two"} <= headings
-    assert page.words().count("loss fell") == 2
+    assert page.words().count("graph-vae is right on") == 2
 
 
+@pytest.mark.usefixtures("no_pictures")
 def test_mistakes_are_told(tmp_path, quick_fit, boids, planted):
     with pytest.raises(InputError, match="nothing to report"):
         build_report([])

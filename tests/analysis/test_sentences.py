@@ -22,7 +22,7 @@ def test_the_verdict_says_where_the_model_wins_and_loses(planted):
     assert "worse" not in verdict
     assert "on every count" in verdict
     assert len(reasons) == 5
-    nowhere = {name: WORSE for name in everywhere} | {"accuracy": (0.5, 0.8, 0.8, 0.6)}
+    nowhere = dict.fromkeys(everywhere, WORSE) | {"accuracy": (0.5, 0.8, 0.8, 0.6)}
     verdict, _ = sentences.verdict(planted(**nowhere))
     assert verdict.startswith("graph-vae does worse than the best of the simple rivals")
     assert "beats" not in verdict

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from swarmssm.analysis.plots.style import (
@@ -106,8 +107,8 @@ def _draw_graph(ax: Axes, position: xr.DataArray, edges: npt.NDArray[Any], unit:
     there = edges.astype(bool) & seen[:, None] & seen[None, :]
     there &= ~np.eye(len(place), dtype=bool)
     mutual = np.argwhere(np.triu(there & there.T))
-    for i, j in mutual:
-        ax.plot(*place[[i, j]].T, color=EDGE, linewidth=0.8, alpha=0.7, zorder=1)
+    lines = LineCollection(list(place[mutual]), colors=EDGE, linewidths=0.8, alpha=0.7, zorder=1)
+    ax.add_collection(lines)
     one_way = np.argwhere(there & ~there.T)
     if len(one_way):
         start = place[one_way[:, 0]]

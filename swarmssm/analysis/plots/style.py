@@ -16,6 +16,7 @@ __all__ = [
     "colour_of",
     "individual_colours",
     "label_axes",
+    "label_outer",
     "log_scale",
     "new_axes",
     "new_grid",
@@ -109,6 +110,17 @@ def label_axes(ax: Axes, coordinates: list[str], unit: str) -> None:
     ax.set_xlabel(first, parse_math=False)
     ax.set_ylabel(second, parse_math=False)
     ax.set_aspect("equal", adjustable="datalim")
+
+
+def label_outer(grid: npt.NDArray[Any]) -> None:
+    """Label only the left and the lowest of axes that have the same limits."""
+    for row, line in enumerate(grid):
+        for column, ax in enumerate(line):
+            ax.tick_params(labelleft=column == 0, labelbottom=row == len(grid) - 1)
+            if column:
+                ax.set_ylabel("")
+            if row < len(grid) - 1:
+                ax.set_xlabel("")
 
 
 def log_scale(ax: Axes) -> None:

@@ -9,7 +9,13 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from swarmssm.analysis.plots.style import individual_colours, label_axes, new_axes, new_grid
+from swarmssm.analysis.plots.style import (
+    individual_colours,
+    label_axes,
+    label_outer,
+    new_axes,
+    new_grid,
+)
 
 __all__ = ["plot_imitation", "plot_random_starts", "plot_snapshots", "plot_trajectories"]
 
@@ -42,12 +48,17 @@ def plot_trajectories(
     figure, ax = new_axes(ax, (4.2, 4.2))
     paths = position.transpose("time", "individual", "space").to_numpy()
     style = {"linewidth": 1.0, "alpha": 0.9, "rasterized": paths.size > MANY_POINTS} | line
-    for index, colour in enumerate(individual_colours(paths.shape[1])):
+    colours = individual_colours(paths.shape[1])
+    ends = np.full((paths.shape[1], 2), np.nan)
+    for index, colour in enumerate(colours):
         path = paths[:, index, :2]
         ax.plot(path[:, 0], path[:, 1], color=colour, **style)
         seen = np.flatnonzero(np.isfinite(path).all(axis=-1))
         if seen.size:
-            ax.plot(*path[seen[-1]], marker="o", markersize=3.5, color=colour)
+            ends[index] = path[seen[-1]]
+    ended = np.isfinite(ends[:, 0])
+    dots = np.array(colours)[ended]
+    ax.scatter(ends[ended, 0], ends[ended, 1], c=dots, s=12, linewidths=0, zorder=3)
     label_axes(ax, [str(name) for name in position["space"].values], unit)
     ax.set_title(title, fontsize=10)
     return figure, ax
@@ -78,6 +89,7 @@ def plot_imitation(
     for ax, (name, title) in zip(grid[0], titles.items(), strict=True):
         plot_trajectories(imitation[name], ax, unit=imitation.attrs.get("unit", ""), title=title)
     _same_limits(grid[0], [imitation[name] for name in titles])
+    label_outer(grid)
     return figure, grid[0]
 
 
@@ -114,6 +126,7 @@ def plot_snapshots(
             )
             ax.set_title(f"{word}, {seconds:.3g} s", fontsize=9)
         _same_limits(line, [imitation[name].isel(time=rows) for name in ("true", "free_run")])
+    label_outer(grid)
     return figure, grid
 
 
@@ -149,6 +162,7 @@ def plot_random_starts(
             label="start",
         )
     _same_limits(grid[0], [runs["position"]])
+    label_outer(grid)
     return figure, grid[0]
 
 
