@@ -75,8 +75,6 @@ def write_dataset(dataset: xr.Dataset, path: Path | str, *, overwrite: bool = Fa
     with write_beside(Path(path), overwrite=overwrite) as temporary:
         try:
             dataset.to_netcdf(temporary, engine="h5netcdf", encoding=encoding)
-        except OSError:
-            raise
         except (ValueError, TypeError, RuntimeError) as error:
             raise WorkError(f"{path}: could not be written ({error}).") from error
 

@@ -43,7 +43,8 @@ def existing(path: str | os.PathLike[str]) -> Path:
         raise InputError(f"{place}: cannot be read ({reason}).") from error
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         raise InputError(f"{place}: this is neither a file nor a folder. Name a file.")
-    if not os.access(place, os.R_OK | (os.X_OK if stat.S_ISDIR(mode) else 0)):
+    wanted = os.R_OK | (os.X_OK if stat.S_ISDIR(mode) else 0)
+    if not os.access(place, wanted, effective_ids=os.access in os.supports_effective_ids):
         raise InputError(f"{place}: cannot be read (Permission denied).")
     return place
 

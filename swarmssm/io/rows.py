@@ -209,8 +209,8 @@ def _check_same_members(rows: Rows, member: Codes) -> None:
             raise InputError(
                 f"{rows.table.path}: trial {shorten(name)} has {len(everyone) - len(absent)} of "
                 f"{len(everyone)} individuals, without "
-                f"{named_list([rows.individuals[i] for i in absent])}. Mend the labels, or read it "
-                "with pad_trials if that is right."
+                f"{named_list([rows.individuals[i] for i in absent])}. Mend the labels, or add "
+                "--pad-trials if that is right."
             )
 
 

@@ -200,8 +200,8 @@ class TextTable:
         rows then finds the line, or understands what Arrow does not (quotes, decimal commas).
         """
         body = self._text[self._start :].rstrip("\n")
-        # Arrow makes a row of an empty line.
-        if not self._separator or '"' in body or "\n\n" in body or body.startswith("\n"):
+        # Arrow makes a row of an empty line, and takes a mark at the start for one of byte order.
+        if not self._separator or '"' in body or "\n\n" in body or body[:1] in ("\n", "\ufeff"):
             return None
         types = {str(c): pyarrow.float64() for c in numbers}
         types |= {str(c): pyarrow.string() for c in texts}

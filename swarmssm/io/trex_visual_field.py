@@ -134,7 +134,7 @@ def add_visual_field(
     frame = tracks["frame"].to_numpy()
     shape = (len(frame), len(files), len(files))
     needed = 3 * math.prod(shape)
-    check_memory(folder, needed, "its adjacency (left out with visual_field=False)")
+    check_memory(folder, needed, "its adjacency (left out with --no-visual-field)")
     adjacency = np.zeros(shape, dtype=np.uint8)
     known = np.zeros(shape[:2], dtype=np.uint8)
     order = np.argsort(numbers)

@@ -72,10 +72,9 @@ def test_what_is_known_at_the_origin_does_change_it(fit):
         assert not np.allclose(first, second), one.name
 
 
+@pytest.mark.parametrize("fit", ["kalman"], indirect=True)
 def test_smoothed_velocities_are_those_of_the_filter(fit):
     """The last smoothed velocity of a history is what the forecast of it starts from."""
-    if fit.settings.velocity != "kalman":
-        pytest.skip("only where velocities are smoothed")
     tracks = scored_tracks()
     subject = subject_of(fit, tracks)
     history = tracks.isel(time=slice(0, ORIGIN + 1))

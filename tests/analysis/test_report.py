@@ -75,6 +75,12 @@ def page(page_text):
     return Page(page_text)
 
 
+@pytest.fixture
+def no_pictures(monkeypatch):
+    """Leave figures out where only words are looked at."""
+    monkeypatch.setattr(sections, "_pictures", lambda anchor, evaluation: [])
+
+
 def test_nothing_comes_from_elsewhere(page_text, page):
     for _, attrs, _ in page.tags:
         for name in ("src", "href", "xlink:href", "srcset", "action", "data"):
@@ -111,13 +117,26 @@ def test_each_figure_has_words_for_those_who_do_not_see_it(page):
     assert len(titles) == 19
 
 
+@pytest.mark.usefixtures("no_pictures")
+def test_one_run_has_its_title_once(quick_fit, boids, evaluation):
+    page = Page(build_report([section_of("Only", quick_fit, boids, evaluation)], "Only"))
+    check_headings(page)
+    titles = [data for tag, data in page.text if re.fullmatch(r"h[1-6]", tag)]
+    assert titles.count("Only") == 1
+    assert "Findings" in titles
+
+
 def test_headings_go_down_one_by_one(page):
+    check_headings(page)
+    assert page.named("html")[0]["lang"] == "en"
+    assert page.named("meta")[1]["name"] == "viewport"
+
+
+def check_headings(page):
     levels = [int(tag[1]) for tag, _, _ in page.tags if re.fullmatch(r"h[1-6]", tag)]
     assert levels[0] == 1
     assert levels.count(1) == 1
     assert all(after <= before + 1 for before, after in itertools.pairwise(levels))
-    assert page.named("html")[0]["lang"] == "en"
-    assert page.named("meta")[1]["name"] == "viewport"
 
 
 def test_tables_name_their_rows_and_columns(page):
@@ -145,12 +164,6 @@ def test_it_says_what_was_found(page, evaluation, quick_fit):
     assert quick_fit.provenance["versions"]["torch"] in words
     for note in evaluation.notes:
         assert note in words
-
-
-@pytest.fixture
-def no_pictures(monkeypatch):
-    """Leave figures out where only words are looked at."""
-    monkeypatch.setattr(sections, "_pictures", lambda anchor, evaluation: [])
 
 
 @pytest.mark.usefixtures("no_pictures")

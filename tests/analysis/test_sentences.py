@@ -174,13 +174,21 @@ def test_training(planted):
     text = sentences.training_sentence(planted().history)
     assert text.startswith("The loss fell from 4.00 to 1.00 nats per coordinate in 3 epochs")
     assert "longer training may help" in text
-    assert text.endswith("the weights are those of epoch 2, where the validation loss was least.")
+    assert text.endswith(
+        "the weights are those of epoch 2, where the validation loss was least; the one-step MSE "
+        "was lower later, 1.00 in epoch 3 against 2.00."
+    )
     rising = planted().history.copy(deep=True)
     rising["loss"][:] = [1.0, 2.0, 3.0]
     rising["validation_loss"][:] = [3.0, 2.0, 1.0]
     text = sentences.training_sentence(rising)
     assert text.startswith("The loss did not fall: 1.00 at first, 3.00 nats per coordinate after 3")
     assert text.endswith("the weights are those of the last epoch.")
+    drifting = planted().history.copy(deep=True)
+    drifting["mse"][:] = [0.1, 0.5, 2.0]
+    assert "the one-step MSE was lower before, 0.100 in epoch 1 against 0.500" in (
+        sentences.training_sentence(drifting)
+    )
     flat = xr.Dataset({"loss": ("epoch", [9.0, 1.0] + [1.0] * 20)}, {"epoch": np.arange(22) + 1})
     assert "hardly fell any more" in sentences.training_sentence(flat)
     assert sentences.training_sentence(xr.Dataset()) == "The course of training is not known."

@@ -87,7 +87,7 @@ def copies(batch, number):
 
 
 def test_with_the_exact_posterior_every_draw_is_the_evidence(truth):
-    """log p(x, z) - log q(z) is then log p(x), whatever z is drawn."""
+    """Then log p(x, z) - log q(z) is log p(x), whatever z is drawn."""
     guide = guide_of(*truth.posterior(), truth.known)
     found = -losses(truth.model, guide, truth.batch, 20)
     np.testing.assert_allclose(found, truth.evidence(), rtol=1e-9)
@@ -152,7 +152,9 @@ def test_its_gradient_is_that_of_the_evidence(truth):
     mean, posterior = truth.posterior()
     guide = guide_of(mean.repeat(number, 1, 1), posterior, truth.known.repeat(number, 1))
     batch = copies(truth.batch, number)
-    weight, bias = (p.detach().clone().requires_grad_() for p in truth.model.decoder[0].parameters())
+    weight, bias = (
+        p.detach().clone().requires_grad_() for p in truth.model.decoder[0].parameters()
+    )
     log_scale = truth.model.log_scale.detach().clone().requires_grad_()
     covariance = weight @ weight.T + (2 * log_scale).exp().diag()
     density = torch.distributions.MultivariateNormal(bias, covariance)

@@ -62,9 +62,7 @@ def test_each_frame_is_encoded_from_itself_alone(guide, batch):
 def test_relabelling_individuals_relabels_the_posterior(guide, batch):
     order = torch.tensor([3, 0, 5, 1, 4, 2])
     before = guide.encode(batch.observations, batch.adjacency)
-    after = guide.encode(
-        batch.observations[:, :, order], batch.adjacency[:, :, order][..., order]
-    )
+    after = guide.encode(batch.observations[:, :, order], batch.adjacency[:, :, order][..., order])
     torch.testing.assert_close(after.mean, before.mean[:, :, order], **CLOSE)
     torch.testing.assert_close(after.stddev, before.stddev[:, :, order], **CLOSE)
 
@@ -87,14 +85,10 @@ def test_the_absent_reach_nobody(guide, batch):
     before = guide.encode(batch.observations, batch.adjacency)
     changed = torch.where(seen, batch.observations, 100 * rand(3, 5, 6, 4, seed=4))
     pad = torch.nn.functional.pad
-    larger = guide.encode(
-        pad(changed, (0, 0, 0, 2), value=7.0), pad(batch.adjacency, (0, 2, 0, 2))
-    )
+    larger = guide.encode(pad(changed, (0, 0, 0, 2), value=7.0), pad(batch.adjacency, (0, 2, 0, 2)))
     for name in ("mean", "stddev"):
         one, other = getattr(before, name), getattr(larger, name)[:, :, :6]
-        torch.testing.assert_close(
-            one.masked_fill(~seen, 0), other.masked_fill(~seen, 0), **CLOSE
-        )
+        torch.testing.assert_close(one.masked_fill(~seen, 0), other.masked_fill(~seen, 0), **CLOSE)
 
 
 def test_log_density_of_the_guide(guide, batch):

@@ -51,9 +51,7 @@ def test_nothing_up_to_a_frame_knows_what_comes_after(visual, fitted, with_gaps,
         # The prediction of the next frame is the last that the frames up to here can make.
         for name in ("position", "velocity", "edge_probability"):
             np.testing.assert_array_equal(one[name][:, : frames + 1], two[name][:, : frames + 1])
-            np.testing.assert_allclose(
-                one[name][:, :frames], cut[name], rtol=1e-4, atol=1e-6
-            )
+            np.testing.assert_allclose(one[name][:, :frames], cut[name], rtol=1e-4, atol=1e-6)
         kinds = [model.posterior(t, draws=0)["mean"] for t in (tracks, other)]
         np.testing.assert_array_equal(*(mean[:, :frames] for mean in kinds))
 
@@ -77,7 +75,9 @@ def test_one_step_ahead_is_the_prediction_of_the_next_frame(visual, fitted, with
         predicted = model.predictive(tracks).isel(time=last + 1)
         ahead = model.forecast(until(tracks, last + 1), 1, draws=0).isel(time=0)
         for name in ("position", "velocity"):
-            one, two = (f[name].transpose("trial", "individual", "space") for f in (predicted, ahead))
+            one, two = (
+                f[name].transpose("trial", "individual", "space") for f in (predicted, ahead)
+            )
             assert one.notnull().to_numpy()[known].all()
             np.testing.assert_allclose(two, one, rtol=1e-4, atol=1e-5)
         pairs = known[:, :, None] & known[:, None, :] & ~np.eye(4, dtype=bool)
@@ -194,9 +194,7 @@ def test_trials_that_end_at_different_times(fitted, swarm):
         alone = until(swarm, frames).isel(trial=[trial])
         expected = fitted.forecast(alone, 4, draws=0)
         for name in ("position", "velocity", "edge_probability"):
-            np.testing.assert_allclose(
-                both[name][[trial]], expected[name], rtol=1e-4, atol=1e-5
-            )
+            np.testing.assert_allclose(both[name][[trial]], expected[name], rtol=1e-4, atol=1e-5)
     ragged["position"][1] = np.nan
     with pytest.raises(InputError, match="in one trial nobody is seen in two consecutive frames"):
         fitted.forecast(ragged, 2)
@@ -231,7 +229,9 @@ def test_who_is_just_out_of_sight_is_carried_on(fitted, swarm):
     moved = swarm.copy(deep=True)
     where = {"trial": 0, "individual": 1}
     speed = swarm["velocity"][{**where, "time": -4}]
-    moved["position"][{**where, "time": -1}] = swarm["position"][{**where, "time": -4}] + 0.3 * speed
+    moved["position"][{**where, "time": -1}] = (
+        swarm["position"][{**where, "time": -4}] + 0.3 * speed
+    )
     moved["velocity"][{**where, "time": -1}] = speed
     rule = GraphRule("radius", radius=2.5)
     moved = add_adjacency(moved, rule, overwrite=True)
@@ -271,9 +271,7 @@ def turning(fitted):
 
     def build(rule=None, own_graph=True, **parameters):
         module = Turning(**parameters)
-        scaler = dataclasses.replace(
-            fitted.preparation.scaler, offset=(0.0,) * 4, scale=(1.0,) * 4
-        )
+        scaler = dataclasses.replace(fitted.preparation.scaler, offset=(0.0,) * 4, scale=(1.0,) * 4)
         preparation = dataclasses.replace(
             fitted.preparation,
             scaler=scaler,

@@ -30,7 +30,8 @@ def circles():
     """Three individuals on circles of radius 1, each around its own place, in 8 frames."""
     turn = 2 * np.pi / 8
     angle = turn * np.arange(200)[:, None] + np.array([0.0, 1.0, 2.5])
-    position = np.stack([np.cos(angle), np.sin(angle)], -1) + [[0, 0], [3, 1], [-2, 2]]
+    centres = np.array([[0, 0], [3, 1], [-2, 2]])
+    position = centres + np.stack([np.cos(angle), np.sin(angle)], -1)
     velocity = turn * np.stack([-np.sin(angle), np.cos(angle)], -1)
     return make_tracks(position, velocity=velocity, fps=1.0)
 
@@ -153,9 +154,7 @@ def test_the_best_weights_are_kept(swarm, hasty):
 @pytest.mark.parametrize("patience", [1, 3])
 def test_without_progress_it_stops(swarm, hasty, patience):
     told = []
-    fitted = fit(
-        tracks=swarm, epochs=60, patience=patience, **hasty, callbacks=[told.append]
-    )
+    fitted = fit(tracks=swarm, epochs=60, patience=patience, **hasty, callbacks=[told.append])
     losses = fitted.history["validation_loss"]
     assert len(losses) == len(told) < 60
     assert losses.idxmin() == len(losses) - 1 - patience
@@ -234,7 +233,7 @@ def test_mini_batches_are_all_windows_in_an_order_of_their_own(swarm, brief, mon
     monkeypatch.setattr(SwarmBatch, "select", select)
     fit(tracks=swarm, **{**brief, "batch_windows": 3})
     assert [len(rows) for rows in taken] == [3, 3, 2] * 3
-    epochs = [sum(taken[i : i + 3], []) for i in (0, 3, 6)]
+    epochs = [[row for rows in taken[i : i + 3] for row in rows] for i in (0, 3, 6)]
     assert all(sorted(rows) == list(range(8)) for rows in epochs)
     assert len({tuple(rows) for rows in epochs}) == 3
     # One batch of all is not shuffled.

@@ -10,7 +10,7 @@ from swarmssm.errors import InputError
 from swarmssm.inference import Fit, fit
 
 #: A model whose next state is a shift of this one, and a guide that knows each state as it is.
-SHIFT = '''
+SHIFT = """
 import pyro
 import pyro.distributions as dist
 import torch
@@ -76,7 +76,7 @@ def known(model):
 
 def nothing(*_):
     return None
-'''
+"""
 
 
 @pytest.fixture

@@ -193,9 +193,10 @@ def test_killed_after_the_last_epoch_it_only_finishes(tmp_path, tracks, whole, m
     hasty = {**SETTINGS, "lr": 0.05, "schedule": "constant", "seed": 0, "patience": 2}
     for name, settings in (("all", SETTINGS), ("patient", hasty)):
         straight = fit(tracks=tracks, **settings).history
-        with monkeypatch.context() as patch, pytest.raises(WorkError):
+        with monkeypatch.context() as patch:
             patch.setattr("swarmssm.inference.fitting.finish_run", fail)
-            fit(tracks=tracks, out=tmp_path / name, **settings)
+            with pytest.raises(WorkError):
+                fit(tracks=tracks, out=tmp_path / name, **settings)
         told = []
         out = {"out": tmp_path / name, "resume": True, "callbacks": [told.append]}
         history = fit(tracks=tracks, **out, **settings).history
@@ -238,7 +239,7 @@ def test_what_cannot_be_resumed_is_said(place, tracks, whole, tmp_path):
         fit(tracks=tracks, out=whole, resume=True, **SETTINGS)
     with pytest.raises(InputError, match="resume: there is nothing to resume without out"):
         fit(tracks=tracks, resume=True, **SETTINGS)
-    with pytest.raises(InputError, match="exists already and was left as it is.*or --resume"):
+    with pytest.raises(InputError, match=r"exists already and was left as it is.*or --resume"):
         fit(tracks=tracks, out=whole, **SETTINGS)
     # Somebody else's folder, even one with a config.json, is not written into.
     theirs = tmp_path / "theirs"
@@ -251,7 +252,7 @@ def test_what_cannot_be_resumed_is_said(place, tracks, whole, tmp_path):
                 fit(tracks=tracks, out=tmp_path / name, **{how: True}, **SETTINGS)
     assert os.listdir(theirs) == ["config.json"]
     assert (theirs / "config.json").read_text() == '{"name": "theirs"}'
-    with pytest.raises(InputError, match="the folder .*nowhere does not exist. Make it first"):
+    with pytest.raises(InputError, match=r"the folder .*nowhere does not exist\. Make it first"):
         fit(tracks=tracks, out=tmp_path / "nowhere" / "run", **SETTINGS)
 
 

@@ -315,7 +315,7 @@ def test_what_may_be_overwritten(fitted, run, tmp_path, swarm):
         with pytest.raises(InputError, match=f"{name}: it is not a run folder, and is not overwr"):
             fitted.save(tmp_path / name, overwrite=True)
     assert os.listdir(thesis) == ["config.json"]
-    with pytest.raises(InputError, match="does not exist. Make it first"):
+    with pytest.raises(InputError, match=r"does not exist\. Make it first"):
         fitted.save(tmp_path / "no" / "run")
     assert sorted(os.listdir(tmp_path)) == ["empty", "file", "run", "thesis"]
 

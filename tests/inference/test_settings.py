@@ -45,7 +45,7 @@ def test_a_wrong_setting_is_named(swarm, values, sentence):
     with pytest.raises(InputError, match=sentence) as caught:
         settings_from(values)
     assert len(str(caught.value).splitlines()) == 1
-    with pytest.raises(InputError, match="^fast.toml: "):
+    with pytest.raises(InputError, match=r"^fast\.toml: "):
         settings_from(values, "fast.toml")
     with pytest.raises((InputError, TypeError), match=sentence.split(":")[0]):
         fit(tracks=swarm, **values)
@@ -53,7 +53,7 @@ def test_a_wrong_setting_is_named(swarm, values, sentence):
 
 def test_a_device_that_is_not_there_is_named(swarm):
     for name in ("gpu", "meta", "cuda:99", ""):
-        with pytest.raises(InputError, match="device: .* is not to be had here; choose cpu"):
+        with pytest.raises(InputError, match=r"device: .* is not to be had here; choose cpu"):
             fit(tracks=swarm, device=name)
 
 

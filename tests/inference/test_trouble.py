@@ -12,7 +12,6 @@ from swarmssm.inference import Fit, fit
 from swarmssm.inference.checkpoints import read_checkpoint
 from swarmssm.models import MODELS, GraphVAE
 
-
 STEP_6 = r"at step 6 \(epoch 3\)\. Try a smaller learning rate than 0\.005"
 
 

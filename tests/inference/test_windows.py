@@ -20,7 +20,7 @@ SETTINGS = {"scaler": "minmax", "graph": "auto", "velocity": "auto"}
 
 def numbered(mask):
     """Return prepared tracks whose every observed state says where it stands."""
-    trials, times, individuals = mask.shape
+    individuals = mask.shape[-1]
     places = torch.arange(mask.numel(), dtype=torch.float64).reshape(mask.shape) + 1
     observations = (places * mask).unsqueeze(-1).expand(*mask.shape, 4).to(torch.float32)
     # An edge says where it stands too, by a pattern of places modulo 2.
@@ -103,7 +103,9 @@ def test_windows_without_a_step_are_left_out():
 
 @pytest.mark.parametrize("window", [1, 0, -5])
 def test_a_window_without_a_step_is_refused(window):
-    with pytest.raises(InputError, match=f"window: it must be at least 2 frames, and it is {window}"):
+    with pytest.raises(
+        InputError, match=f"window: it must be at least 2 frames, and it is {window}"
+    ):
         windows_of(numbered(torch.ones(1, 8, 2, dtype=torch.bool)), window)
 
 
@@ -163,10 +165,8 @@ def test_which_graph_is_taken(swarm):
     assert not named.own_graph
     nearest = add_adjacency(swarm, GraphRule("k-nearest", k=1), overwrite=True)["adjacency"]
     assert not torch.equal(prepare(swarm, named).adjacency, truth)
-    assert torch.equal(
-        prepare(swarm, named).adjacency, torch.from_numpy(nearest.to_numpy() != 0)
-    )
-    with pytest.raises(InputError, match="graph: the tracks carry no adjacency. Name a rule"):
+    assert torch.equal(prepare(swarm, named).adjacency, torch.from_numpy(nearest.to_numpy() != 0))
+    with pytest.raises(InputError, match=r"graph: the tracks carry no adjacency\. Name a rule"):
         preparation_for(bare, **SETTINGS | {"graph": "data"})
     given = swarm.assign(adjacency=swarm["adjacency"].drop_attrs())
     unknown, _ = preparation_for(given, **SETTINGS | {"graph": "data"})

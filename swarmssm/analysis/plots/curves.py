@@ -12,6 +12,7 @@ from matplotlib.ticker import FuncFormatter
 from swarmssm.analysis.plots.style import (
     LINE_STYLES,
     colour_of,
+    legend_beside,
     log_scale,
     new_axes,
     new_grid,
@@ -75,7 +76,7 @@ def plot_collective(
     ax.set_ylabel(f"{name} ({measure})" if unit else name, parse_math=False)
     top = ax.get_ylim()[1]
     ax.set_ylim(0.0, min(top, 1.6 * highest) if highest > 0 else top)
-    ax.legend(frameon=False, fontsize=8)
+    legend_beside(ax)
     return figure, ax
 
 
@@ -115,7 +116,7 @@ def plot_horizon_errors(
     whole_numbers(ax)
     ax.set_xlabel("steps ahead K")
     ax.set_ylabel(HORIZON_LABELS[score])
-    ax.legend(frameon=False, fontsize=8)
+    legend_beside(ax)
     return figure, ax
 
 

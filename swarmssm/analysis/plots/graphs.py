@@ -14,6 +14,7 @@ from swarmssm.analysis.plots.style import (
     colour_of,
     individual_colours,
     label_axes,
+    legend_beside,
     new_axes,
     new_grid,
 )
@@ -96,7 +97,7 @@ def plot_edge_accuracy(
     ax.set_xlabel("time (s)")
     ax.set_ylabel("AUC" if score == "auc" else f"edge {score}")
     ax.set_ylim(-0.03, 1.03)
-    ax.legend(frameon=False, fontsize=8)
+    legend_beside(ax)
     return figure, ax
 
 

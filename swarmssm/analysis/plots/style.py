@@ -17,6 +17,7 @@ __all__ = [
     "individual_colours",
     "label_axes",
     "label_outer",
+    "legend_beside",
     "log_scale",
     "new_axes",
     "new_grid",
@@ -64,7 +65,7 @@ def individual_colours(count: int) -> list[str]:
     return [INDIVIDUALS[index % len(INDIVIDUALS)] for index in range(count)]
 
 
-def new_axes(ax: Axes | None, size: tuple[float, float] = (6.4, 3.6)) -> tuple[Figure, Axes]:
+def new_axes(ax: Axes | None, size: tuple[float, float] = (7.8, 3.5)) -> tuple[Figure, Axes]:
     """Return the given axes with their figure, or new ones without touching pyplot."""
     if ax is None:
         figure = Figure(figsize=size, layout="constrained")
@@ -110,6 +111,11 @@ def label_axes(ax: Axes, coordinates: list[str], unit: str) -> None:
     ax.set_xlabel(first, parse_math=False)
     ax.set_ylabel(second, parse_math=False)
     ax.set_aspect("equal", adjustable="datalim")
+
+
+def legend_beside(ax: Axes) -> None:
+    """Put the legend to the right of the axes, where it hides nothing."""
+    ax.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
 
 def label_outer(grid: npt.NDArray[Any]) -> None:

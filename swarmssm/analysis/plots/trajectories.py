@@ -19,8 +19,8 @@ from swarmssm.analysis.plots.style import (
 
 __all__ = ["plot_imitation", "plot_random_starts", "plot_snapshots", "plot_trajectories"]
 
-#: Paths with more points than this are drawn as pixels inside a vector figure.
-MANY_POINTS = 3000
+#: Paths with more numbers than this are drawn thin, and as pixels inside a vector figure.
+MANY_POINTS = 6000
 
 
 def plot_trajectories(
@@ -47,7 +47,8 @@ def plot_trajectories(
     """
     figure, ax = new_axes(ax, (4.2, 4.2))
     paths = position.transpose("time", "individual", "space").to_numpy()
-    style = {"linewidth": 1.0, "alpha": 0.9, "rasterized": paths.size > MANY_POINTS} | line
+    many = paths.size > MANY_POINTS
+    style = {"linewidth": 0.6 if many else 1.0, "alpha": 0.8, "rasterized": many} | line
     colours = individual_colours(paths.shape[1])
     ends = np.full((paths.shape[1], 2), np.nan)
     for index, colour in enumerate(colours):

@@ -276,6 +276,7 @@ def training_sentence(history: xr.Dataset) -> str:
         else f"The loss did not fall: {number(float(loss[0]))} at first, "
         f"{number(float(loss[-1]))} nats per coordinate after {int(epochs[-1])} epochs"
     )
+    kept = len(loss) - 1
     late = loss[-max(2, len(loss) // 10) :]
     fallen, last = float(loss[0] - loss[-1]), float(late[0] - late[-1])
     if len(loss) > 2 and fallen > 0:
@@ -293,6 +294,19 @@ def training_sentence(history: xr.Dataset) -> str:
             else f", and the weights are those of epoch {int(epochs[best])}, where the validation "
             "loss was least"
         )
+        kept = best
+    if "mse" in history and np.isfinite(history["mse"]).any():
+        error = history["mse"].to_numpy()
+        least = int(np.nanargmin(error))
+        if better(float(error[least]), float(error[kept])) == 1:
+            text += (
+                f"; the one-step MSE was lower before, {number(float(error[least]))} in epoch "
+                f"{int(epochs[least])} against {number(float(error[kept]))}, since the loss that is "
+                "minimised is another"
+                if least < kept
+                else f"; the one-step MSE was lower later, {number(float(error[least]))} in epoch "
+                f"{int(epochs[least])} against {number(float(error[kept]))}"
+            )
     return text + "."
 
 

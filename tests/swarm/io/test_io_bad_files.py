@@ -3,7 +3,9 @@
 import contextlib
 import os
 import struct
+import tempfile
 import zipfile
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -20,6 +22,7 @@ from io_samples import (
 
 from swarmssm.errors import InputError
 from swarmssm.io import FORMATS, read, write
+from swarmssm.io.opening import reading
 from swarmssm.tracks import make_tracks
 
 
@@ -70,22 +73,29 @@ def test_an_empty_file(tmp_path, format):
     refused(tmp_path / "t.csv", "is empty|not a whole", format=format)
 
 
-def test_permission_denied(tmp_path):
-    path = tmp_path / "t.csv"
+@pytest.fixture
+def open_folder():
+    """Return a folder that anyone may look into; pytest's own are private."""
+    with tempfile.TemporaryDirectory() as name:
+        Path(name).chmod(0o755)
+        yield Path(name)
+
+
+def test_permission_denied(open_folder):
+    path = open_folder / "t.csv"
     path.write_text(long_text())
     path.chmod(0)
     with no_privileges(), pytest.raises(InputError, match=r"cannot be read \(Permission denied\)"):
         read(path, fps=5)
 
 
-def test_a_folder_that_may_not_be_listed(tmp_path):
-    folder = write_trex(tmp_path / "data")
+def test_a_folder_that_may_not_be_listed(open_folder):
+    folder = write_trex(open_folder / "data")
     folder.chmod(0)
-    try:
+    for path in (folder, folder / "video_fish0.npz"):
         with no_privileges(), pytest.raises(InputError, match=r"cannot be read \(Permission deni"):
-            read(folder)
-    finally:
-        folder.chmod(0o700)
+            read(path)
+    folder.chmod(0o700)
 
 
 def test_neither_file_nor_folder(tmp_path):
@@ -203,6 +213,41 @@ def test_a_damaged_text_collection_does_not_hang(tmp_path):
         struct.pack_into("<HHIQ", data, collection + 16, new_index, 1, 0, new_size)
         path.write_bytes(data)
         refused(path, "not a whole HDF5 file")
+
+
+def test_texts_that_claim_more_than_the_file(tmp_path):
+    with h5py.File(tmp_path / "t.nc", "w") as file:
+        file["position"] = np.zeros((5, 2, 3))
+        file.create_dataset("names", (10**6,), h5py.string_dtype(), chunks=True)
+    refused(tmp_path / "t.nc", "not a whole HDF5 file")
+
+
+def test_types_that_a_damaged_text_turns_into(tmp_path):
+    """The HDF5 library crashes on a text that damage has made a sequence: none is read."""
+    for name in ("attribute", "dataset"):
+        with h5py.File(tmp_path / "t.nc", "w") as file:
+            file["position"] = np.zeros((5, 2, 3))
+            sequence = h5py.vlen_dtype(np.int8)
+            if name == "attribute":
+                file.attrs.create("note", [np.zeros(3, np.int8)], dtype=sequence)
+            else:
+                file.create_dataset("note", (1,), sequence)
+        refused(tmp_path / "t.nc", "not a whole HDF5 file")
+
+
+def test_whatever_a_library_raises_is_a_sentence(tmp_path):
+    path = tmp_path / "t.nc"
+    for raised, sentence in (
+        (MemoryError(), "it needs more memory than this machine has"),
+        (OSError(5, "Input/output error"), r"cannot be read \(Input/output error\)"),
+        (OSError("no number"), "this is not a whole file of a kind; it is cut short or damaged"),
+        (KeyError("x"), "this is not a whole file of a kind"),
+        (InputError("said already"), "^said already$"),
+    ):
+        with pytest.raises(InputError, match=sentence), reading(path, "file of a kind"):
+            raise raised
+    with pytest.raises(KeyboardInterrupt), reading(path, "file of a kind"):
+        raise KeyboardInterrupt
 
 
 def test_one_bad_file_of_many_is_named(tmp_path):

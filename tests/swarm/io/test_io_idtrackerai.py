@@ -116,7 +116,7 @@ def test_old_versions(tmp_path):
 def test_a_pickle_is_refused_unless_allowed(tmp_path):
     path = write_form(tmp_path, "npy", idtrackerai_dict())
     for named in (path, tmp_path):
-        with pytest.raises(InputError, match=r"this is a pickle.*h5 or csv.*allow_pickle"):
+        with pytest.raises(InputError, match=r"this is a pickle.*h5 or csv.*--allow-pickle"):
             read(named)
 
 
@@ -152,9 +152,28 @@ def test_damage_is_named(tmp_path, more, sentence):
         read(path)
 
 
+def test_a_csv_folder_with_the_positions_alone(tmp_path):
+    folder = write_form(tmp_path, "csv", idtrackerai_dict())
+    for name in ("areas.csv", "id_probabilities.csv", "attributes.json"):
+        (folder / name).unlink()
+    tracks = read_idtrackerai(folder, fps=28)
+    np.testing.assert_array_equal(positions(tracks), MOTION)
+    assert list(tracks.data_vars) == ["position"]
+
+
+def test_what_holds_no_numbers(tmp_path):
+    for more in ({"trajectories": "none"}, {"frames_per_second": {"a": 1}}):
+        np.save(tmp_path / "trajectories.npy", idtrackerai_dict(**more))
+        with pytest.raises(InputError, match=f"{next(iter(more))} holds no numbers"):
+            read(tmp_path, allow_pickle=True)
+
+
 def test_broken_attributes(tmp_path):
     folder = write_form(tmp_path, "csv", idtrackerai_dict())
     (folder / "attributes.json").write_text('{"frames_per_second": ')
+    with pytest.raises(InputError, match=r"attributes.json: this is not a whole json text"):
+        read(folder)
+    (folder / "attributes.json").write_text("[1, 2]")
     with pytest.raises(InputError, match=r"attributes.json: this is not a whole json text"):
         read(folder)
 

@@ -57,16 +57,40 @@ def test_round_trip_is_exact(tmp_path, trials):
 
 def test_attributes_that_netcdf_has_no_form_for(tmp_path):
     tracks = full_tracks()
+    tracks.attrs["tank"] = np.array([[0, 1], [2, 3]])
     odd = {"nothing": None, "true": True, "nested": {"a": [1, {"b": None}]}, "list": [1, "a"]}
     tracks.attrs.update(odd)
     write(tracks, tmp_path / "t.nc")
     back = read(tmp_path / "t.nc")
     assert {name: back.attrs[name] for name in odd} == odd
     assert back.attrs["true"] is True
+    assert back.attrs["tank"] == [[0, 1], [2, 3]]
     tracks.attrs["object"] = object()
     with pytest.raises(InputError, match="attribute object: a value of type object cannot be"):
         write(tracks, tmp_path / "t.nc", overwrite=True)
     assert_same(back, read(tmp_path / "t.nc"))
+
+
+def test_text_of_varying_length(tmp_path):
+    """Other programs store text without a length; it comes back as plain text."""
+    with h5py.File(tmp_path / "t.nc", "w") as file:
+        file["position"] = np.swapaxes(MOTION, 1, 2)
+        file.create_dataset("individual", (3,), h5py.string_dtype(), ["ä", "bee", "c"])
+        file.create_dataset("role", (3,), h5py.string_dtype(), ["x", "", "zz"])
+        for name, size in (("time", 6), ("space", 2)):
+            file[name] = np.arange(size) / 25 if name == "time" else np.array([b"x", b"y"])
+        for name in ("time", "space", "individual"):
+            file[name].make_scale(name)
+        for axis, name in enumerate(("time", "space", "individual")):
+            file["position"].dims[axis].attach_scale(file[name])
+        file["role"].dims[0].attach_scale(file["individual"])
+    tracks = read(tmp_path / "t.nc")
+    np.testing.assert_array_equal(positions(tracks), MOTION)
+    assert list(tracks["individual"].values) == ["ä", "bee", "c"]
+    assert tracks["role"].dtype.kind == "U"
+    assert tracks["role"].values.tolist() == ["x", "", "zz"]
+    write(tracks, tmp_path / "u.nc")
+    assert_same(read(tmp_path / "u.nc"), read(tmp_path / "u.nc"))
 
 
 def test_it_is_compressed(tmp_path):

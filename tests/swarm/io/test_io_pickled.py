@@ -10,6 +10,7 @@ import pytest
 from io_samples import idtrackerai_dict
 
 from swarmssm.errors import InputError
+from swarmssm.io import read
 from swarmssm.io.pickled import is_pickle, load_pickled_dict
 
 ARRAYS = {
@@ -38,6 +39,13 @@ def test_what_trackers_write_comes_back(tmp_path, protocol):
         else:
             assert loaded[name] == value
     np.testing.assert_array_equal(loaded["in"]["f8"], ARRAYS["f8"])
+
+
+def test_a_pickle_file_of_a_session(tmp_path):
+    (tmp_path / "trajectories.pickle").write_bytes(pickle.dumps(idtrackerai_dict()))
+    assert read(tmp_path, allow_pickle=True).sizes["individual"] == 3
+    with pytest.raises(InputError, match="this is a pickle"):
+        read(tmp_path / "trajectories.pickle")
 
 
 def test_npy_files(tmp_path):
@@ -115,6 +123,10 @@ def test_paths_become_text(tmp_path):
         b"\x80\x04.",
         pickle.dumps({"a": np.zeros(3)}).replace(b"\x03\x85", b"\x09\x85"),  # shape (9,)
         pickle.dumps({"a": np.zeros(3, dtype=[("x", "f8")])}),
+        pickle.dumps({"a": np.zeros(3, dtype="V4")}),
+        pickle.dumps({"a": np.array([1, "b"], dtype=object)}).replace(b"K\x02\x85", b"K\x03\x85"),
+        pickle.dumps({"a": b"\xff"}, 2).replace(b"latin1", b"utf-16"),
+        pickle.dumps({"a": np.zeros(3)}).replace(b"f8", b"X8"),
     ],
 )
 def test_damaged_or_strange(tmp_path, content):

@@ -172,6 +172,12 @@ def test_every_fifth_frame_is_no_hole(table):
     np.testing.assert_allclose(tracks["time"], np.arange(100, 121, 5) / 30)
 
 
+def test_a_time_in_frames_is_a_frame_number(table):
+    tracks = read(table("time (frames),x1,y1\n3,1,2\n4,1,2\n"), fps=10)
+    assert tracks["frame"].values.tolist() == [3, 4]
+    assert tracks["time"].values.tolist() == [0.3, 0.4]
+
+
 def test_frames_and_times_together_tell_the_rate(table):
     text = "frame,time,x1,y1\n" + "".join(f"{f},{f / 40},{f},0\n" for f in (0, 1, 2, 6))
     tracks = read(table(text))
@@ -258,6 +264,14 @@ def test_parquet_with_moments_and_names(tmp_path):
     tracks = read(tmp_path / "t.parquet")
     assert tracks.attrs["fps"] == 4
     np.testing.assert_array_equal(positions(tracks)[:, 0, 0], [1, 2, np.nan, 4])
+    frame["id"] = [1.0, 1.0, 1.0, 1.0]
+    frame.to_parquet(tmp_path / "t.parquet")
+    assert list(read(tmp_path / "t.parquet")["individual"].values) == ["1"]
+    frame["id"] = [1.0, 1.0, None, 1.0]
+    frame.to_parquet(tmp_path / "t.parquet")
+    with pytest.raises(InputError, match="row 2 has no individual"):
+        read(tmp_path / "t.parquet")
+    frame["id"] = "goat"
     frame["x"] = ["a", "b", "c", "d"]
     frame.to_parquet(tmp_path / "t.parquet")
     with pytest.raises(InputError, match=r"column 'x' holds (large_)?string, not numbers"):

@@ -161,6 +161,10 @@ def test_two_exports_of_one_individual(tmp_path):
         ({"Y#wcentroid": np.zeros((6, 2), np.float32)}, "must have 1 dimension"),
         ({"Y#wcentroid": np.array(["a"] * 6)}, "Y#wcentroid holds <U1, not numbers"),
         ({"X#wcentroid": np.full(6, 1e13, np.float32)}, r"individual 0 in row 0 is x = 1e\+13"),
+        (
+            {key: np.zeros(0, np.float32) for key in trex_arrays(0) if key != "frame_segments"},
+            "no frame",
+        ),
         ({"frame_rate": np.array([0.0])}, "frames per second must lie between 0 and 1e"),
         ({"frame_rate": np.array([25.0, 30.0])}, "frame_rate must hold one number"),
     ],
@@ -197,8 +201,9 @@ def test_half_a_pair(tmp_path):
     np.savez(tmp_path / "v_fish0.npz", **trex_arrays(0, **{"Y#wcentroid": None, "Y": None}))
     with pytest.raises(InputError, match="no tracks were found in this folder"):
         read(tmp_path)
-    with pytest.raises(InputError, match=r"holds no npz file of TRex"):
-        read(tmp_path, "trex")
+    for visual_field in (None, False):
+        with pytest.raises(InputError, match=r"holds no npz file of TRex"):
+            read(tmp_path, "trex", visual_field=visual_field)
 
 
 def test_a_folder_above(tmp_path):

@@ -43,6 +43,8 @@ def test_options(tmp_path):
     write(tmp_path, header=HEADER.replace("#wcentroid", ""))
     with pytest.raises(InputError, match="no column X#pcentroid"):
         read(tmp_path, centroid="pcentroid")
+    with pytest.raises(InputError, match="'tail' is unknown; choose one of wcentroid"):
+        read(tmp_path, centroid="tail")
     assert read(tmp_path).attrs["centroid"] == "head"
     with pytest.raises(InputError, match="trex-csv has no option visual_field"):
         read(tmp_path, visual_field=True)

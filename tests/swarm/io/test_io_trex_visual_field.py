@@ -107,6 +107,28 @@ def test_alone_it_gives_head_positions_in_px(tmp_path):
     assert positions(tracks)[3, 1].tolist() == [12.0, 50.0]  # third row of individual 1
 
 
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [({"fish_pos": None}, "no array fish_pos"), ({"fish_pos": np.zeros((3, 2))}, "for 2 frames")],
+)
+def test_alone_and_damaged(tmp_path, change, sentence):
+    arrays = {**visual_field_arrays(0, [[1], []], [0, 1]), **change}
+    arrays = {key: values for key, values in arrays.items() if values is not None}
+    write_visual_field(tmp_path, "fish0", arrays)
+    with pytest.raises(InputError, match=sentence):
+        read(tmp_path, fps=30)
+
+
+def test_a_split_array_cut_short(tmp_path):
+    write_trex(tmp_path)
+    arrays = visual_field_arrays(0, [[1], [2]], [0, 1])
+    write_visual_field(tmp_path, "fish0", arrays, split=True)
+    path = tmp_path / "video_visual_field_fish0_ids.npy"
+    path.write_bytes(path.read_bytes()[:-4])
+    with pytest.raises(InputError, match=r"fish0_ids.npy: this is not a whole npy file"):
+        read(tmp_path)
+
+
 def test_custom_names_of_version_1_tell_no_number(tmp_path):
     write_trex(tmp_path, names=("alice", "fish1"))
     write_visual_field(tmp_path, "fish1", visual_field_arrays(1, [[0]], [0]))
