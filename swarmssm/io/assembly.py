@@ -80,7 +80,8 @@ def assemble(
         _check_coordinates(path, piece, individuals, name)
     length = max(piece.clock.length for piece in several)
     check_memory(path, 6 * 8 * length * len(several) * several[0].position[0].size, "reading it")
-    several = [_on_grid(piece, length) for piece in several]
+    timed = any(piece.clock.recorded is not None for piece in several)
+    several = [_on_grid(piece, length, timed=timed) for piece in several]
     try:
         tracks = make_tracks(
             _merged([piece.position for piece in several], trials),
@@ -175,8 +176,8 @@ def _check_coordinates(path: Path, piece: Piece, individuals: Sequence[str], tri
             )
 
 
-def _on_grid(piece: Piece, length: int) -> Piece:
-    """Return the piece with one row for each of ``length`` grid points."""
+def _on_grid(piece: Piece, length: int, *, timed: bool) -> Piece:
+    """Return the piece with one row for each of ``length`` grid points, if timed with its times."""
     index = piece.clock.index
 
     def place(values: npt.NDArray[Any], fill: float) -> npt.NDArray[Any]:
@@ -192,8 +193,10 @@ def _on_grid(piece: Piece, length: int) -> Piece:
     for name, (dims, values) in piece.variables.items():
         timed = "time" in dims
         variables[name] = (dims, place(values, np.nan) if timed else values)
-    if piece.clock.recorded is not None:
-        variables["recorded_time"] = (("time",), place(piece.clock.recorded, np.nan))
+    if timed:
+        stamps = piece.clock.recorded
+        stamps = piece.clock.start + index / piece.clock.fps if stamps is None else stamps
+        variables["recorded_time"] = (("time",), place(stamps, np.nan))
     return Piece(
         place(piece.position, np.nan),
         piece.clock,
@@ -216,9 +219,7 @@ def _merged_variables(pieces: Sequence[Piece], trials: object) -> dict[str, Any]
     merged: dict[str, Any] = {}
     for name, (dims, _) in pieces[0].variables.items():
         # The dataset keeps space before individual, readers find it behind.
-        arrays = [piece.variables[name][1] for piece in pieces if name in piece.variables]
-        if len(arrays) < len(pieces):
-            continue
+        arrays = [piece.variables[name][1] for piece in pieces]
         if trials is None or "time" not in dims:
             values, found = arrays[0], tuple(dims)
         else:

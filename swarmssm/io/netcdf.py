@@ -135,7 +135,7 @@ def _tidied(dataset: xr.Dataset) -> xr.Dataset:
         variable = dataset[name]
         variable.encoding = {}
         variable.attrs = _restored(variable.attrs)
-        if variable.dtype == object or variable.dtype.kind == "T":
+        if variable.dtype.kind not in "fiubcmM":
             text = variable.astype(str)
             text.attrs = variable.attrs
             dataset = (

@@ -4,6 +4,8 @@
 if its header, the archive's directory and the file on disk agree on its size, and never unpickled.
 """
 
+import functools
+import io
 import math
 import zipfile
 from pathlib import Path
@@ -19,6 +21,8 @@ from swarmssm.io.opening import check_claim, reading
 __all__ = ["NPY_MAGIC", "NumpyArchive", "holds_objects", "read_npy"]
 
 NPY_MAGIC = b"\x93NUMPY"
+#: As in numpy: longer ones could crash Python's parser.
+MAX_HEADER = 10_000
 NumpyArray = npt.NDArray[Any]
 
 
@@ -159,6 +163,19 @@ def read_npy(path: Path, *, in_place: bool = False) -> NumpyArray:
 def _read_header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
     """Return shape, whether in Fortran order, and dtype."""
     version = np.lib.format.read_magic(stream)
+    prefix = stream.read(2 if version == (1, 0) else 4)
+    length = int.from_bytes(prefix, "little")
+    if length > MAX_HEADER:
+        raise ValueError("a header that is too long")
+    return _parsed_header(version, prefix + stream.read(length))
+
+
+@functools.lru_cache(maxsize=256)
+def _parsed_header(
+    version: tuple[int, int], header: bytes
+) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Parse a header; in a folder of many files of one kind few differ."""
+    stream = io.BytesIO(header)
     if version == (1, 0):
         return np.lib.format.read_array_header_1_0(stream)
     # Version 3 differs from 2 only in that names of fields may be any text.

@@ -234,8 +234,6 @@ def _from_bytes(dtype: Any, shape: Any, data: Any, order: str) -> npt.NDArray[An
     kind = np.dtype(dtype.spec)
     if kind.kind not in SIMPLE_KINDS or not kind.itemsize:
         raise pickle.UnpicklingError("an array of no plain numbers")
-    if isinstance(data, str):
-        data = data.encode("latin1")
     if math.prod(shape) * kind.itemsize != len(data):
         raise pickle.UnpicklingError("an array of the wrong size")
     if dtype.order == ">":

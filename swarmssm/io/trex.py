@@ -77,25 +77,21 @@ def read_trex(
         )
     if visual_field not in (True, False, "auto"):
         raise InputError(f"visual_field: {visual_field!r} is unknown; choose True, False or auto.")
-    if place.is_dir():
-        candidates = sorted(place.glob("*.npz"))
-        paths = [p for p in candidates if not is_companion(p)]
-        paths = [p for p in paths if is_trex_archive(p)]
-    else:
-        paths = [place]
-    if not paths and visual_field and place.is_dir():
+    files = []
+    for file in _candidates(place, video):
+        with NumpyArchive(file) as archive:
+            if not place.is_dir() or _holds_tracks(archive):
+                centroid = centroid or centroid_of(archive.keys, file)
+                files.append(_read_individual(archive, centroid))
+    if not files and visual_field and place.is_dir():
         return tracks_from_visual_field(place, fps, video=video)
-    if not paths:
+    if not files:
         raise InputError(
             f"{place}: it holds no npz file of TRex with the arrays frame, X#wcentroid and "
             "Y#wcentroid. Name the folder into which TRex exported (data by default)."
         )
-    paths = of_one_video(paths, place, video)
-    files = []
-    for file in paths:
-        with NumpyArchive(file) as archive:
-            centroid = centroid or centroid_of(archive.keys, file)
-            files.append(_read_individual(archive, centroid))
+    chosen = set(of_one_video([file.path for file in files], place, video))
+    files = [file for file in files if file.path in chosen]
     if centroid == "head" and all(np.isnan(file.position).all() for file in files):
         raise InputError(
             f"{place}: no head position is known, because TRex had no posture. "
@@ -120,8 +116,22 @@ def is_trex_archive(path: Path) -> bool:
         If it is not a whole npz file.
     """
     with NumpyArchive(path) as archive:
-        keys = set(archive.keys)
-        return "frame" in keys and bool(_exported(keys)) and len(archive.shape("frame")) == 1
+        return _holds_tracks(archive)
+
+
+def _holds_tracks(archive: NumpyArchive) -> bool:
+    keys = set(archive.keys)
+    return "frame" in keys and bool(_exported(keys)) and len(archive.shape("frame")) == 1
+
+
+def _candidates(place: Path, video: str | None) -> list[Path]:
+    """Return the files that may hold an individual of the recording."""
+    if not place.is_dir():
+        return [place]
+    paths = [path for path in sorted(place.glob("*.npz")) if not is_companion(path)]
+    mine = [path for path in paths if video is None or path.stem.startswith(f"{video}_")]
+    # If there are none, all are read, so that the sentence can name the recordings there are.
+    return mine or paths
 
 
 def centroid_of(columns: list[str], path: Path) -> str:

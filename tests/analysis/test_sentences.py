@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from swarmssm.analysis.report import sentences
+from swarmssm.analysis.report import sentences, wording
 
 WORSE, BETTER, EQUAL = (4.0, 2.0, 1.0), (0.5, 2.0, 1.0), (1.0, 2.0, 1.01)
 
@@ -175,8 +175,8 @@ def test_training(planted):
     assert text.startswith("The loss fell from 4.00 to 1.00 nats per coordinate in 3 epochs")
     assert "longer training may help" in text
     assert text.endswith(
-        "the weights are those of epoch 2, where the validation loss was least; the one-step MSE "
-        "was lower later, 1.00 in epoch 3 against 2.00."
+        "the weights are those of epoch 2, where the validation loss was least; the one-step MSE, "
+        "which is not what the loss measures, was lower later: 1.00 in epoch 3 against 2.00."
     )
     rising = planted().history.copy(deep=True)
     rising["loss"][:] = [1.0, 2.0, 3.0]
@@ -186,7 +186,7 @@ def test_training(planted):
     assert text.endswith("the weights are those of the last epoch.")
     drifting = planted().history.copy(deep=True)
     drifting["mse"][:] = [0.1, 0.5, 2.0]
-    assert "the one-step MSE was lower before, 0.100 in epoch 1 against 0.500" in (
+    assert "was lower before: 0.100 in epoch 1 against 0.500." in (
         sentences.training_sentence(drifting)
     )
     flat = xr.Dataset({"loss": ("epoch", [9.0, 1.0] + [1.0] * 20)}, {"epoch": np.arange(22) + 1})
@@ -203,10 +203,10 @@ def test_random_starts(planted):
 
 
 def test_numbers_within_five_percent_are_alike():
-    assert sentences.better(1.0, 1.04) == 0
-    assert sentences.better(1.0, 1.06) == 1
-    assert sentences.better(1.06, 1.0) == -1
-    assert sentences.better(np.inf, 1.0) == -1
-    assert sentences.better(np.inf, np.inf) == 0
-    assert sentences.better(0.0, 0.0) == 0
-    assert sentences.better(np.nan, 1.0) is None
+    assert wording.better(1.0, 1.04) == 0
+    assert wording.better(1.0, 1.06) == 1
+    assert wording.better(1.06, 1.0) == -1
+    assert wording.better(np.inf, 1.0) == -1
+    assert wording.better(np.inf, np.inf) == 0
+    assert wording.better(0.0, 0.0) == 0
+    assert wording.better(np.nan, 1.0) is None

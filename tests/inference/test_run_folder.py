@@ -232,6 +232,15 @@ def test_a_configuration_that_does_not_fit_is_said(run, change, sentence):
     assert len(str(caught.value).splitlines()) == 1
 
 
+def test_a_truncated_configuration_is_said(run):
+    text = (run / "config.json").read_text()
+    for cut in ("", text[:1], text[:-3], "[1]"):
+        (run / "config.json").write_text(cut)
+        seal(run)
+        with pytest.raises(InputError, match=r"config\.json: it (is not readable|holds no) JSON"):
+            Fit.load(run)
+
+
 def test_damaged_weights_are_said(run):
     path = run / "weights.safetensors"
     data = path.read_bytes()

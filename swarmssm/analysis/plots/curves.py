@@ -12,7 +12,7 @@ from matplotlib.ticker import FuncFormatter
 from swarmssm.analysis.plots.style import (
     LINE_STYLES,
     colour_of,
-    legend_beside,
+    legend_below,
     log_scale,
     new_axes,
     new_grid,
@@ -76,7 +76,7 @@ def plot_collective(
     ax.set_ylabel(f"{name} ({measure})" if unit else name, parse_math=False)
     top = ax.get_ylim()[1]
     ax.set_ylim(0.0, min(top, 1.6 * highest) if highest > 0 else top)
-    legend_beside(ax)
+    legend_below(ax)
     return figure, ax
 
 
@@ -116,7 +116,7 @@ def plot_horizon_errors(
     whole_numbers(ax)
     ax.set_xlabel("steps ahead K")
     ax.set_ylabel(HORIZON_LABELS[score])
-    legend_beside(ax)
+    legend_below(ax)
     return figure, ax
 
 

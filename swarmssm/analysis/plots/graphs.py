@@ -12,9 +12,10 @@ from matplotlib.figure import Figure
 from swarmssm.analysis.plots.style import (
     LINE_STYLES,
     colour_of,
+    dot_size,
     individual_colours,
     label_axes,
-    legend_beside,
+    legend_below,
     new_axes,
     new_grid,
 )
@@ -22,6 +23,8 @@ from swarmssm.analysis.plots.style import (
 __all__ = ["plot_edge_accuracy", "plot_graphs"]
 
 EDGE = "#7f7f7f"
+#: More edges than this are drawn faint, and as pixels inside a vector figure.
+MANY_EDGES = 500
 
 
 def plot_graphs(
@@ -97,7 +100,7 @@ def plot_edge_accuracy(
     ax.set_xlabel("time (s)")
     ax.set_ylabel("AUC" if score == "auc" else f"edge {score}")
     ax.set_ylim(-0.03, 1.03)
-    legend_beside(ax)
+    legend_below(ax)
     return figure, ax
 
 
@@ -108,9 +111,18 @@ def _draw_graph(ax: Axes, position: xr.DataArray, edges: npt.NDArray[Any], unit:
     there = edges.astype(bool) & seen[:, None] & seen[None, :]
     there &= ~np.eye(len(place), dtype=bool)
     mutual = np.argwhere(np.triu(there & there.T))
-    lines = LineCollection(list(place[mutual]), colors=EDGE, linewidths=0.8, alpha=0.7, zorder=1)
-    ax.add_collection(lines)
     one_way = np.argwhere(there & ~there.T)
+    many = len(mutual) + len(one_way) > MANY_EDGES
+    alpha = 0.2 if many else 0.7
+    lines = LineCollection(
+        list(place[mutual]),
+        colors=EDGE,
+        linewidths=0.8,
+        alpha=alpha,
+        zorder=1,
+        rasterized=many,
+    )
+    ax.add_collection(lines)
     if len(one_way):
         start = place[one_way[:, 0]]
         arrow = place[one_way[:, 1]] - start
@@ -120,7 +132,8 @@ def _draw_graph(ax: Axes, position: xr.DataArray, edges: npt.NDArray[Any], unit:
             arrow[:, 0],
             arrow[:, 1],
             color=EDGE,
-            alpha=0.7,
+            alpha=alpha,
+            rasterized=many,
             angles="xy",
             scale_units="xy",
             scale=1,
@@ -128,5 +141,6 @@ def _draw_graph(ax: Axes, position: xr.DataArray, edges: npt.NDArray[Any], unit:
             zorder=1,
         )
     colours = np.array(individual_colours(len(place)))[seen]
-    ax.scatter(place[seen, 0], place[seen, 1], c=colours, s=32, linewidths=0, zorder=2)
+    size = dot_size(len(place), 32.0)
+    ax.scatter(place[seen, 0], place[seen, 1], c=colours, s=size, linewidths=0, zorder=2)
     label_axes(ax, [str(name) for name in position["space"].values], unit)

@@ -14,10 +14,11 @@ from swarmssm.errors import InputError
 __all__ = [
     "LINE_STYLES",
     "colour_of",
+    "dot_size",
     "individual_colours",
     "label_axes",
     "label_outer",
-    "legend_beside",
+    "legend_below",
     "log_scale",
     "new_axes",
     "new_grid",
@@ -60,12 +61,17 @@ def colour_of(method: str) -> str:
     return COLOURS.get(method, MODEL_COLOUR)
 
 
+def dot_size(count: int, size: float) -> float:
+    """Return the area of one of many dots, so that a crowd does not become one blot."""
+    return max(2.0, size * min(1.0, 30 / max(count, 1)))
+
+
 def individual_colours(count: int) -> list[str]:
     """Return a colour for each individual, repeated beyond ten."""
     return [INDIVIDUALS[index % len(INDIVIDUALS)] for index in range(count)]
 
 
-def new_axes(ax: Axes | None, size: tuple[float, float] = (7.8, 3.5)) -> tuple[Figure, Axes]:
+def new_axes(ax: Axes | None, size: tuple[float, float] = (6.4, 4.1)) -> tuple[Figure, Axes]:
     """Return the given axes with their figure, or new ones without touching pyplot."""
     if ax is None:
         figure = Figure(figsize=size, layout="constrained")
@@ -113,9 +119,9 @@ def label_axes(ax: Axes, coordinates: list[str], unit: str) -> None:
     ax.set_aspect("equal", adjustable="datalim")
 
 
-def legend_beside(ax: Axes) -> None:
-    """Put the legend to the right of the axes, where it hides nothing."""
-    ax.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+def legend_below(ax: Axes) -> None:
+    """Put the legend below the axes, where it hides nothing."""
+    ax.legend(frameon=False, fontsize=9, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=3)
 
 
 def label_outer(grid: npt.NDArray[Any]) -> None:

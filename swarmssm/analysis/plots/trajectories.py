@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from swarmssm.analysis.plots.style import (
+    dot_size,
     individual_colours,
     label_axes,
     label_outer,
@@ -21,6 +22,7 @@ __all__ = ["plot_imitation", "plot_random_starts", "plot_snapshots", "plot_traje
 
 #: Paths with more numbers than this are drawn thin, and as pixels inside a vector figure.
 MANY_POINTS = 6000
+MANY_ARROWS = 100
 
 
 def plot_trajectories(
@@ -59,7 +61,9 @@ def plot_trajectories(
             ends[index] = path[seen[-1]]
     ended = np.isfinite(ends[:, 0])
     dots = np.array(colours)[ended]
-    ax.scatter(ends[ended, 0], ends[ended, 1], c=dots, s=12, linewidths=0, zorder=3)
+    ax.scatter(
+        ends[ended, 0], ends[ended, 1], c=dots, s=dot_size(len(dots), 12.0), linewidths=0, zorder=3
+    )
     label_axes(ax, [str(name) for name in position["space"].values], unit)
     ax.set_title(title, fontsize=10)
     return figure, ax
@@ -174,8 +178,11 @@ def _draw_headings(ax: Axes, position: xr.DataArray, velocity: xr.DataArray, uni
     length = np.linalg.norm(speed, axis=-1)
     seen = np.isfinite(place).all(axis=-1)
     colours = np.array(individual_colours(len(place)))
-    ax.scatter(place[seen, 0], place[seen, 1], c=colours[seen], s=14, linewidths=0)
+    ax.scatter(
+        place[seen, 0], place[seen, 1], c=colours[seen], s=dot_size(len(place), 14.0), linewidths=0
+    )
     moving = seen & (length > 0)
+    crowd = len(place) > MANY_ARROWS
     if moving.any():
         heading = speed[moving] / length[moving, None]
         ax.quiver(
@@ -185,8 +192,9 @@ def _draw_headings(ax: Axes, position: xr.DataArray, velocity: xr.DataArray, uni
             heading[:, 1],
             color=colours[moving],
             angles="xy",
-            scale=11,
-            width=0.012,
+            scale=22 if crowd else 11,
+            width=0.006 if crowd else 0.012,
+            rasterized=crowd,
         )
     label_axes(ax, [str(name) for name in position["space"].values], unit)
 

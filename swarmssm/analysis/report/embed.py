@@ -14,6 +14,8 @@ from matplotlib.figure import Figure
 
 __all__ = ["as_svg", "house_style"]
 
+#: Points of width above which a figure has several panels, and is scrolled on a narrow screen.
+SINGLE = 500.0
 #: Pixels per inch of what is drawn as pixels inside a vector figure.
 DPI = 160
 
@@ -51,9 +53,10 @@ def as_svg(figure: Figure, name: str, alt: str) -> Markup:
     opening, _, rest = text.partition(">")
     box = re.search(r'viewBox="([^"]+)"', opening)
     width = float(box[1].split()[2]) if box else 0.0
+    kind = "several" if width > SINGLE else "single"
     head = (
         f'<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" '
-        f'viewBox="{box[1] if box else "0 0 100 100"}" role="img" '
+        f'viewBox="{box[1] if box else "0 0 100 100"}" role="img" class="{kind}" '
         f'aria-label="{html.escape(alt)}" style="width: {width * 4 / 3:.0f}px">'
         f"<title>{html.escape(alt)}</title>"
     )

@@ -13,8 +13,15 @@ __all__ = ["data_facts", "model_facts", "provenance_facts"]
 
 Facts = list[tuple[str, str]]
 
-#: Attributes of tracks that say where they come from, in this order.
-ORIGIN = ("species", "source", "scale", "attribution", "license", "changes")
+#: Attributes of tracks that say where they come from, in this order, with their labels.
+ORIGIN = {
+    "species": "species",
+    "source": "recording",
+    "scale": "scale",
+    "attribution": "attribution",
+    "license": "license",
+    "changes": "changes made",
+}
 #: What the ready-made parts are, for a reader who has not read their code.
 IN_WORDS = {
     "graph-vae": (
@@ -55,7 +62,9 @@ def data_facts(fit: Fit, tracks: xr.Dataset, evaluation: Evaluation) -> Facts:
             " ".join(filter(None, (found["source_software"], found["source_file"]))) or "not given",
         ),
     ]
-    facts += [(name, str(tracks.attrs[name])) for name in ORIGIN if tracks.attrs.get(name)]
+    facts += [
+        (label, str(tracks.attrs[name])) for name, label in ORIGIN.items() if tracks.attrs.get(name)
+    ]
     return facts
 
 

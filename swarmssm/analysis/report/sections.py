@@ -116,6 +116,15 @@ def section_of(
     )
 
 
+def _errors_ahead(evaluation: Evaluation) -> tuple[Figure, Any]:
+    """Draw MSE and MAE side by side, as the thesis does."""
+    figure = Figure(figsize=(9.6, 4.0), layout="constrained")
+    axes = figure.subplots(1, 2)
+    for ax, score in zip(axes, ("forecast_mse", "forecast_mae"), strict=True):
+        plots.plot_horizon_errors(evaluation.scores, ax, score=score)
+    return figure, axes
+
+
 def _pictures(anchor: str, evaluation: Evaluation) -> list[Picture]:
     """Draw all figures of a run."""
     unit = evaluation.settings["unit"]
@@ -166,7 +175,7 @@ def _pictures(anchor: str, evaluation: Evaluation) -> list[Picture]:
             "Error against the number of steps ahead",
             "4.11, 4.12",
             sentences.horizon_sentence(evaluation),
-            lambda: plots.plot_horizon_errors(evaluation.scores),
+            lambda: _errors_ahead(evaluation),
         ),
         (
             "Free runs from random starts",

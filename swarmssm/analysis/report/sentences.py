@@ -3,10 +3,21 @@
 import math
 
 import numpy as np
+import numpy.typing as npt
 import xarray as xr
 
 from swarmssm import metrics
 from swarmssm.analysis.evaluation import Evaluation
+from swarmssm.analysis.report.wording import (
+    ALIKE,
+    better,
+    capital,
+    joined,
+    percent,
+    quantity,
+    times,
+    title_of,
+)
 from swarmssm.analysis.table import format_number as number
 from swarmssm.tracks import Array
 
@@ -23,8 +34,6 @@ __all__ = [
     "verdict",
 ]
 
-#: Numbers that differ by less than this share of the larger are called equal.
-ALIKE = 0.05
 SIMPLE = ("stay-put", "constant-velocity")
 
 
@@ -267,47 +276,50 @@ def training_sentence(history: xr.Dataset) -> str:
     """Say how far the loss fell, whether it was still falling, and which weights were kept."""
     if "loss" not in history or history.sizes.get("epoch", 0) == 0:
         return "The course of training is not known."
+    epochs = history["epoch"].to_numpy().astype(int)
     loss = history["loss"].to_numpy()
-    epochs = history["epoch"].to_numpy()
+    first, last = number(float(loss[0])), number(float(loss[-1]))
     text = (
-        f"The loss fell from {number(float(loss[0]))} to {number(float(loss[-1]))} nats per "
-        f"coordinate in {int(epochs[-1])} epochs"
+        f"The loss fell from {first} to {last} nats per coordinate in {epochs[-1]} epochs"
         if loss[-1] < loss[0]
-        else f"The loss did not fall: {number(float(loss[0]))} at first, "
-        f"{number(float(loss[-1]))} nats per coordinate after {int(epochs[-1])} epochs"
+        else f"The loss did not fall: {first} at first, {last} nats per coordinate after "
+        f"{epochs[-1]} epochs"
     )
-    kept = len(loss) - 1
-    late = loss[-max(2, len(loss) // 10) :]
-    fallen, last = float(loss[0] - loss[-1]), float(late[0] - late[-1])
+    fallen = float(loss[0] - loss[-1])
+    lately = float(loss[-max(2, len(loss) // 10) :][0] - loss[-1])
     if len(loss) > 2 and fallen > 0:
         text += (
-            f"; in the last tenth it still fell by {number(last)}, so that longer training may help"
-            if last > 0.02 * fallen
+            f"; in the last tenth it still fell by {number(lately)}, so that longer training may "
+            "help"
+            if lately > 0.02 * fallen
             else "; at the end it hardly fell any more"
         )
+    kept = len(loss) - 1
     if "validation_loss" in history and np.isfinite(history["validation_loss"]).any():
-        watched = history["validation_loss"].to_numpy()
-        best = int(np.nanargmin(watched))
+        kept = int(np.nanargmin(history["validation_loss"].to_numpy()))
         text += (
             ", and the weights are those of the last epoch"
-            if best == len(watched) - 1
-            else f", and the weights are those of epoch {int(epochs[best])}, where the validation "
-            "loss was least"
+            if kept == len(loss) - 1
+            else f", and the weights are those of epoch {epochs[kept]}, where the validation loss "
+            "was least"
         )
-        kept = best
-    if "mse" in history and np.isfinite(history["mse"]).any():
-        error = history["mse"].to_numpy()
-        least = int(np.nanargmin(error))
-        if better(float(error[least]), float(error[kept])) == 1:
-            text += (
-                f"; the one-step MSE was lower before, {number(float(error[least]))} in epoch "
-                f"{int(epochs[least])} against {number(float(error[kept]))}, since the loss that is "
-                "minimised is another"
-                if least < kept
-                else f"; the one-step MSE was lower later, {number(float(error[least]))} in epoch "
-                f"{int(epochs[least])} against {number(float(error[kept]))}"
-            )
-    return text + "."
+    return text + _lower_elsewhere(history, epochs, kept) + "."
+
+
+def _lower_elsewhere(history: xr.Dataset, epochs: npt.NDArray[np.int64], kept: int) -> str:
+    """Say so if the one-step error was clearly lower in another epoch than the kept one."""
+    if "mse" not in history or not np.isfinite(history["mse"]).any():
+        return ""
+    error = history["mse"].to_numpy()
+    least = int(np.nanargmin(error))
+    if better(float(error[least]), float(error[kept])) != 1:
+        return ""
+    when = "before" if least < kept else "later"
+    return (
+        f"; the one-step MSE, which is not what the loss measures, was lower {when}: "
+        f"{number(float(error[least]))} in epoch {epochs[least]} against "
+        f"{number(float(error[kept]))}"
+    )
 
 
 def random_starts_sentence(evaluation: Evaluation) -> str:
@@ -332,43 +344,6 @@ def random_starts_sentence(evaluation: Evaluation) -> str:
     )
     text += "" if math.isnan(true) else f" (true group: {quantity(true, unit)})"
     return f"{text}, the polarization from {number(order_start)} to {number(order_end)}."
-
-
-def better(own: float, rival: float) -> int | None:
-    """Return 1 if the first error is lower, -1 if higher, 0 if alike, None if one is unknown."""
-    if math.isnan(own) or math.isnan(rival):
-        return None
-    if own == rival or (
-        math.isfinite(own) and math.isfinite(rival) and abs(own - rival) <= ALIKE * max(own, rival)
-    ):
-        return 0
-    return 1 if own < rival else -1
-
-
-def title_of(evaluation: Evaluation, method: str) -> str:
-    """Return the words for a method."""
-    return str(evaluation.scores["title"].sel({"method": method}).item())
-
-
-def capital(text: str) -> str:
-    """Return a text that starts a sentence, names such as graph-vae being left alone."""
-    first = text.split(" ", 1)[0]
-    return text if "-" in first else text[:1].upper() + text[1:]
-
-
-def percent(share: float) -> str:
-    """Return a share in percent."""
-    return f"{100 * share:.1f} %" if not math.isnan(share) else "–"
-
-
-def times(ratio: float) -> str:
-    """Return how many times."""
-    return f"{number(ratio, 2 if ratio < 100 else 3)} times"
-
-
-def quantity(value: float, unit: str) -> str:
-    """Return a number with its unit."""
-    return f"{number(value)} {unit}".rstrip()
 
 
 def _mean_distance(first: Array, second: Array) -> float:
@@ -402,8 +377,3 @@ def _farthest(evaluation: Evaluation) -> int:
     """Return the longest horizon."""
     horizons = evaluation.settings["horizons"]
     return max(horizons) if horizons else int(evaluation.scores["step"][-1])
-
-
-def joined(words: list[str]) -> str:
-    """Return words joined as in a sentence."""
-    return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1]

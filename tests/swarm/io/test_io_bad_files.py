@@ -193,6 +193,15 @@ def test_more_than_the_memory(tmp_path, monkeypatch):
     refused(tmp_path / "a.npz", r"would take .* GB, and this machine has 1e-07 GB")
 
 
+def test_a_system_that_does_not_tell_its_memory(tmp_path, monkeypatch):
+    def sysconf(_):
+        raise ValueError("unrecognized configuration name")
+
+    np.savez(tmp_path / "a.npz", xy=MOTION, fps=5)
+    monkeypatch.setattr(os, "sysconf", sysconf)
+    assert read(tmp_path / "a.npz").sizes["time"] == 6
+
+
 def test_damage_inside_is_found_by_checksums(tmp_path):
     np.savez(tmp_path / "a.npz", xy=MOTION, fps=5)
     data = bytearray((tmp_path / "a.npz").read_bytes())
@@ -222,6 +231,19 @@ def test_texts_that_claim_more_than_the_file(tmp_path):
     refused(tmp_path / "t.nc", "not a whole HDF5 file")
 
 
+def test_an_attribute_that_claims_more_than_the_file(tmp_path):
+    path = tmp_path / "t.nc"
+    with h5py.File(path, "w") as file:
+        file["position"] = np.zeros((5, 2, 3))
+        file.attrs["counts"] = np.arange(7, dtype=np.int64)
+    data = bytearray(path.read_bytes())
+    # Version 1, one dimension: its size and, twice as it may not grow, its largest size.
+    space = data.index(struct.pack("<BBB5xQQ", 1, 1, 1, 7, 7))
+    struct.pack_into("<QQ", data, space + 8, 7 * 10**6, 7 * 10**6)
+    path.write_bytes(data)
+    refused(path, "not a whole HDF5 file")
+
+
 def test_types_that_a_damaged_text_turns_into(tmp_path):
     """The HDF5 library crashes on a text that damage has made a sequence: none is read."""
     for name in ("attribute", "dataset"):
@@ -229,7 +251,9 @@ def test_types_that_a_damaged_text_turns_into(tmp_path):
             file["position"] = np.zeros((5, 2, 3))
             sequence = h5py.vlen_dtype(np.int8)
             if name == "attribute":
-                file.attrs.create("note", [np.zeros(3, np.int8)], dtype=sequence)
+                note = np.empty(1, dtype=object)
+                note[0] = np.zeros(3, np.int8)
+                file.attrs.create("note", note, dtype=sequence)
             else:
                 file.create_dataset("note", (1,), sequence)
         refused(tmp_path / "t.nc", "not a whole HDF5 file")

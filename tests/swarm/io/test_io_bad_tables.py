@@ -41,7 +41,7 @@ from swarmssm.io import read
         ("time,x1,y1\n0,1,2\n1,1,2\n2,1,2\n3.4,1,2\n", "time in line 5 comes 1.4 s after"),
         ("time,x1,y1\n0,1,2\nnoon,1,2\n", "line 3, column 'time': 'noon' is not a number"),
         ("time,x1,y1\nnoon,1,2\n1,1,2\n", "line 2: 'noon' is no time. Write seconds"),
-        ("time,x1,y1\n0,1,2\n1e-6,1,2\n1,1,2\n", "3 rows span 1000001 frames"),
+        ("time,x1,y1\n,1,2\n,1,2\n", "the time in line 2 is nan; mend it or take the row away"),
         ("time,x1,y1\n0,1,2\n.1,1,2\n.2,1,2\n1e10,1,2\n", r"time in line 5 leaps to 1e\+10 s"),
         ("time,x1,y1\n0,1,2\n1e13,1,2\n", r"the time in line 3 is 1e\+13; mend it"),
         (

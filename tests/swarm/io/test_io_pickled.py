@@ -96,6 +96,13 @@ def test_code_is_not_run(tmp_path, evil, protocol):
     assert not target.exists()
 
 
+def test_npy_files_of_version_2(tmp_path):
+    header = np.array({"a": 1}, dtype=object)
+    with (tmp_path / "t.npy").open("wb") as stream:
+        np.lib.format.write_array(stream, header, version=(2, 0))
+    assert load_pickled_dict(tmp_path / "t.npy") == {"a": 1}
+
+
 def test_paths_become_text(tmp_path):
     class PosixPath(PurePosixPath):
         pass
@@ -127,6 +134,7 @@ def test_paths_become_text(tmp_path):
         pickle.dumps({"a": np.array([1, "b"], dtype=object)}).replace(b"K\x02\x85", b"K\x03\x85"),
         pickle.dumps({"a": b"\xff"}, 2).replace(b"latin1", b"utf-16"),
         pickle.dumps({"a": np.zeros(3)}).replace(b"f8", b"X8"),
+        pickle.dumps({"a": Call(np._core.numeric._frombuffer, b"12345678", "f8", (1,), "C")}),
     ],
 )
 def test_damaged_or_strange(tmp_path, content):

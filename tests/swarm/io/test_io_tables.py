@@ -240,6 +240,14 @@ def test_trials_of_differing_rate(table):
         read(table("trial,time,x1,y1\nA,0,1,2\nA,.1,3,4\nB,0,5,6\nB,.2,7,8\n"))
 
 
+def test_times_that_jitter_in_one_trial_only(table):
+    late = [0, 0.11, 0.2, 0.3]
+    rows = [f"A,{k / 10},1,2" for k in range(4)] + [f"B,{s},1,2" for s in late]
+    tracks = read(table("trial,time,x1,y1\n" + "\n".join(rows)))
+    assert dict(tracks.sizes) == {"trial": 2, "time": 4, "space": 2, "individual": 1}
+    np.testing.assert_allclose(tracks["recorded_time"], [[0, 0.1, 0.2, 0.3], late])
+
+
 @pytest.mark.parametrize("form", ["long", "wide"])
 def test_parquet(tmp_path, form):
     i, t = np.meshgrid(np.arange(3), np.arange(6))
