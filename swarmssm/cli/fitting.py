@@ -37,7 +37,7 @@ def fit(
         int | None, typer.Option(help="Frames in a window; 0 for whole trials. Default: 20.")
     ] = None,
     batch_windows: Annotated[
-        int | None, typer.Option(help="Windows in a mini-batch; 0 for all. Default: a sixteenth.")
+        int | None, typer.Option(help="Windows in a mini-batch; 0 for all. Default: a tenth.")
     ] = None,
     graph: Annotated[
         str,

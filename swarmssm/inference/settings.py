@@ -44,7 +44,7 @@ class FitSettings(pydantic.BaseModel):
         Frames in a window; ``None``, whole trials. Consecutive windows share one frame, so that
         each step of the recording is in one window.
     batch_windows
-        Windows in a mini-batch; ``None``, all of them; ``"auto"``, a sixteenth, so that a pass
+        Windows in a mini-batch; ``None``, all of them; ``"auto"``, a tenth, so that a pass
         over few data takes about as many steps of the optimiser as one over many.
     lr
         Learning rate of Adam.

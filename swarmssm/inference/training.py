@@ -25,7 +25,7 @@ __all__ = ["Progress", "TrainingData", "num_epochs", "quiet_pyro", "train"]
 EXPLODED = 100.0
 HISTORY_ROWS = 100
 #: Steps in a pass over all windows, where mini-batches are left to us.
-AUTO_STEPS = 16
+AUTO_STEPS = 10
 
 
 @dataclass(frozen=True)
