@@ -1,5 +1,6 @@
 """The thesis's own model: a graph variational autoencoder of one step (section 3.7)."""
 
+import math
 from collections.abc import Sequence
 
 import pyro
@@ -13,9 +14,9 @@ from swarmssm.models.layers import check_sizes, multilayer_perceptron
 
 __all__ = ["GraphVAE"]
 
-#: Where log s starts, in scaled units: below the steps that are to be told apart. Started at the
-#: spread of the data, s explains them all and the latent states stay empty.
-INITIAL_LOG_SCALE = -5.0
+#: Where a learned s starts, in scaled units: below the steps that are to be told apart. Started at
+#: the spread of the data, s explains them all and the latent states stay empty.
+INITIAL_SCALE = 0.007
 
 
 class GraphVAE(SwarmModel):
@@ -28,9 +29,14 @@ class GraphVAE(SwarmModel):
         A_{t+1,ij} \mid z_t &\sim \mathrm{Bernoulli}(\sigma(z_{t,i} \cdot z_{t,j}))
             \qquad (3.57), \; i \ne j
 
-    with :math:`f` fully connected and :math:`s` learned, one for each feature. Its guide is
+    with :math:`f` fully connected. Its guide is
     :class:`swarmssm.inference.guides.GraphEncoderGuide`, :math:`q(z_t \mid x_t, A_t)`. Nothing
     links :math:`z_t` to :math:`z_{t+1}`, so all steps of all windows are scored in one call.
+
+    The prior of :math:`z_t` does not know of :math:`x_t`: the evidence is that of next states as
+    such, not of next states after these. To it a sharp latent state costs as much as it gains, so
+    that a learned :math:`s` drifts upwards until the decoder serves the edges alone. A fixed one,
+    which makes the likelihood a squared error of given weight, as in the thesis, keeps the states.
 
     A latent state is scored where its individual was observed at both ends of the step, an edge
     where both of its individuals were.
@@ -43,11 +49,13 @@ class GraphVAE(SwarmModel):
         Features of a latent state.
     decoder_widths
         Widths of the hidden layers of :math:`f`.
+    scale
+        :math:`s` of every feature, in scaled units; ``None``: learned, one for each feature.
 
     Raises
     ------
     ValueError
-        If a size or a width is no positive whole number.
+        If a size or a width is no positive whole number, or ``scale`` is not positive.
 
     References
     ----------
@@ -55,14 +63,24 @@ class GraphVAE(SwarmModel):
     """
 
     def __init__(
-        self, state_dim: int, latent_dim: int = 4, decoder_widths: Sequence[int] = (32, 32)
+        self,
+        state_dim: int,
+        latent_dim: int = 4,
+        decoder_widths: Sequence[int] = (32, 32),
+        scale: float | None = 0.005,
     ) -> None:
         widths = list(decoder_widths)
         check_sizes(state_dim=state_dim, latent_dim=latent_dim)
-        super().__init__(state_dim, latent_dim=latent_dim, decoder_widths=widths)
+        if scale is not None and not 0 < scale < math.inf:
+            raise ValueError(f"scale must be a positive number or None, and it is {scale}")
+        super().__init__(state_dim, latent_dim=latent_dim, decoder_widths=widths, scale=scale)
         self.latent_dim = latent_dim
         self.decoder = multilayer_perceptron([latent_dim, *widths, state_dim])
-        self.log_scale = nn.Parameter(torch.full((state_dim,), INITIAL_LOG_SCALE))
+        log_scale = torch.full((state_dim,), math.log(scale or INITIAL_SCALE))
+        if scale is None:
+            self.log_scale = nn.Parameter(log_scale)
+        else:
+            self.register_buffer("log_scale", log_scale)
 
     def decode(self, latent: torch.Tensor) -> NextStep:
         """Return the next states and the log-odds of the next edges, (3.57)."""

@@ -30,7 +30,7 @@ class Gaussian:
         def rand(*shape):
             return torch.randn(*shape, dtype=DOUBLE, generator=generator)
 
-        self.model = GraphVAE(4, latent_dim=LATENT, decoder_widths=()).to(DOUBLE)
+        self.model = GraphVAE(4, latent_dim=LATENT, decoder_widths=(), scale=None).to(DOUBLE)
         with torch.no_grad():
             for parameter in self.model.parameters():
                 parameter.copy_(0.5 * rand(*parameter.shape))

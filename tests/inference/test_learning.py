@@ -110,6 +110,7 @@ def test_noise_is_recovered():
         lr=0.1,
         fractions=(1, 0, 0),
         scaler="none",
+        model_options={"scale": None},
     )
     found = learned.model.log_scale.detach().exp().numpy()
     np.testing.assert_allclose(found, deviations, rtol=6 / math.sqrt(2 * n))

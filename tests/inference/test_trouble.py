@@ -47,7 +47,10 @@ def failing(monkeypatch):
         (lambda model: torch.tensor(float("-inf")), "the loss (is not a number|exploded to inf)"),
         (lambda model: torch.tensor(-1e12), r"the loss exploded to \d\.\d+e\+\d+"),
         # The loss is sound, and its gradient is 0 / 0.
-        (lambda model: (0 * model.log_scale).abs().sum().sqrt(), "the gradient is not finite"),
+        (
+            lambda model: (0 * model.decoder[0].bias).abs().sum().sqrt(),
+            "the gradient is not finite",
+        ),
     ],
 )
 def test_the_step_is_named_and_the_last_good_checkpoint_kept(
@@ -79,7 +82,7 @@ def test_the_first_step_may_fail_too(swarm, settings, failing, tmp_path):
 
 def test_a_failure_of_the_last_step_is_noticed(swarm, settings, failing, monkeypatch):
     """Its loss is fine, and the weights it leaves are not; no later loss would tell."""
-    failing(12, lambda model: (0 * model.log_scale).abs().sum().sqrt())
+    failing(12, lambda model: (0 * model.decoder[0].bias).abs().sum().sqrt())
     with pytest.raises(WorkError, match=r"gradient is not finite at step 12 \(epoch 6\)"):
         fit("failing", tracks=swarm, **settings)
 

@@ -238,7 +238,7 @@ def test_select_keeps_rows_together(batch):
 
 def test_options_build_the_same_model_again():
     model = GraphVAE(6, latent_dim=3, decoder_widths=(5, 7))
-    assert model.options == {"latent_dim": 3, "decoder_widths": [5, 7]}
+    assert model.options == {"latent_dim": 3, "decoder_widths": [5, 7], "scale": 0.005}
     again = GraphVAE(6, **model.options)
     again.load_state_dict(model.state_dict())
     latent = rand(5, 3, seed=1).float()
@@ -246,9 +246,21 @@ def test_options_build_the_same_model_again():
     assert model.decode(latent).states.mean.shape == (5, 6)
 
 
+def test_the_scale_is_fixed_unless_it_is_to_be_learned():
+    latent = torch.zeros(2, 4)
+    fixed = GraphVAE(4, scale=0.25)
+    assert "log_scale" not in dict(fixed.named_parameters())
+    assert "log_scale" in fixed.state_dict()
+    torch.testing.assert_close(fixed.decode(latent).states.stddev, torch.full((2, 4), 0.25))
+    learned = GraphVAE(4, scale=None)
+    assert learned.log_scale.requires_grad
+    assert learned.log_scale.shape == (4,)
+
+
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
+        ({"scale": 0.0}, "scale must be a positive number or None, and it is 0"),
         ({"latent_dim": 0}, "latent_dim must be a positive whole number, not 0"),
         ({"decoder_widths": (32, -1)}, r"widths\[2\] must be a positive whole number, not -1"),
         ({"decoder_widths": "32"}, r"widths\[1\] must be .* not '3'"),
