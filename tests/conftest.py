@@ -1,6 +1,7 @@
 """State that every test starts from and must leave behind, and the way to the real recordings."""
 
 import os
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -33,6 +34,19 @@ def shared_data() -> Path:
     if not RECORDINGS.is_dir():
         pytest.skip("no real recordings: ../shared/data is absent, SWARMSSM_SHARED_DATA is not set")
     return RECORDINGS
+
+
+@pytest.fixture
+def full_disk(tmp_path: Path) -> Iterator[Path]:
+    """A folder on a disk of 256 KiB."""
+    folder = tmp_path / "small"
+    folder.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=256k", "none", str(folder)]
+    if subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("a small disk can only be mounted by root")
+    yield folder
+    # A writer that failed may hold its file open until it is collected.
+    subprocess.run(["umount", "--lazy", str(folder)], check=True)
 
 
 def _global_state() -> dict[str, object]:

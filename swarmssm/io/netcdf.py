@@ -1,5 +1,6 @@
 """NetCDF files: our own, which keep every number of the tracks, and those of ``movement``."""
 
+import io
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from swarmssm.errors import InputError, WorkError
-from swarmssm.files import write_beside
+from swarmssm.files import check_output, write_beside
 from swarmssm.io.assembly import named_list
 from swarmssm.io.hdf5 import open_hdf5
 from swarmssm.io.opening import existing, reading
@@ -72,11 +73,15 @@ def write_dataset(dataset: xr.Dataset, path: Path | str, *, overwrite: bool = Fa
         encoding[name] = {**COMPRESSION} if numeric and variable.ndim else {}
         if variable.dtype.kind in "iub":
             encoding[name]["_FillValue"] = None
+    check_output(Path(path), overwrite=overwrite)
+    # The file is made in memory: libhdf5 crashes when it closes a file on a disk that is full.
+    buffer = io.BytesIO()
+    try:
+        dataset.to_netcdf(buffer, engine="h5netcdf", encoding=encoding)
+    except (ValueError, TypeError, RuntimeError) as error:
+        raise WorkError(f"{path}: could not be written ({error}).") from error
     with write_beside(Path(path), overwrite=overwrite) as temporary:
-        try:
-            dataset.to_netcdf(temporary, engine="h5netcdf", encoding=encoding)
-        except (ValueError, TypeError, RuntimeError) as error:
-            raise WorkError(f"{path}: could not be written ({error}).") from error
+        temporary.write_bytes(buffer.getbuffer())
 
 
 def read_netcdf(

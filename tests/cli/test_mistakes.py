@@ -132,3 +132,28 @@ def test_an_exploding_loss_is_a_failure_that_leaves_no_run(swarmssm, flock_file,
     assert "step" in result.err
     assert "learning rate" in result.err
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["import", "{flock}", "--out", "small/o.nc"],
+        ["simulate", "boids", "--steps", "400", "--out", "small/o.nc"],
+        ["forecast", "{run}", "{flock}", "--out", "small/o.nc"],
+        ["rollout", "{run}", "{flock}", "--steps", "3000", "--out", "small/o.nc"],
+        ["report", "{run}", "--out", "small/o.html"],
+        ["fit", "{flock}", "--epochs", "1", "--out", "small/o"],
+        ["demo", "--epochs", "1", "--out", "small/o"],
+    ],
+    ids=lambda arguments: arguments[0],
+)
+def test_a_full_disk_is_a_failure_in_a_sentence(
+    swarmssm, flock_file, run_folder, full_disk, arguments
+):
+    (full_disk / "filler").write_bytes(bytes(240 * 1024))
+    result = swarmssm(*[a.format(flock=flock_file, run=run_folder) for a in arguments])
+    assert result.status == 1, result
+    assert "No space left" in result.err
+    assert "Traceback" not in result.err
+    left = [path.name for path in full_disk.rglob("*") if path.is_file()]
+    assert [name for name in left if name.startswith("o") or ".part" in name] == []

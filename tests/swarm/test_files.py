@@ -5,7 +5,6 @@ import signal
 import stat
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -24,19 +23,6 @@ def old(tmp_path: Path) -> Path:
     path = tmp_path / "result.csv"
     path.write_text("old")
     return path
-
-
-@pytest.fixture
-def full_disk(tmp_path: Path) -> Iterator[Path]:
-    """A folder on a disk of 256 KiB."""
-    folder = tmp_path / "small"
-    folder.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=256k", "none", str(folder)]
-    if subprocess.run(mount, capture_output=True, check=False).returncode:
-        pytest.skip("a small disk can only be mounted by root")
-    yield folder
-    # A writer that failed may hold its file open until it is collected.
-    subprocess.run(["umount", "--lazy", str(folder)], check=True)
 
 
 def names(folder: Path) -> list[str]:
