@@ -84,11 +84,13 @@ def print_rows(title: str, rows: Sequence[Mapping[str, object]]) -> None:
         print_table(title, list(rows[0]), [list(row.values()) for row in rows])
 
 
-def print_evaluation(title: str, result: "Evaluation") -> None:
-    """Print the scores of a fit beside those of its rivals."""
+def print_evaluation(title: str, result: "Evaluation", thesis: str | None = None) -> None:
+    """Print the scores of a fit beside those of its rivals, and of the thesis if asked."""
     from swarmssm import analysis
 
-    print_rows(title, analysis.scores_table(result))
+    print_rows(title, analysis.scores_table(result, thesis))
+    if thesis is not None:
+        say(analysis.THESIS_FOOTNOTE)
     print_rows("squared error at each step ahead, scaled states", analysis.horizon_table(result))
     print_rows("edges of the next graph", analysis.edge_table(result))
     for note in result.notes:

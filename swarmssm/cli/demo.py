@@ -65,7 +65,7 @@ def demo(
                 seed=seed,
             )
         result = analysis.evaluate(fitted, tracks, seed=seed)
-        print_evaluation(title, result)
+        print_evaluation(title, result, "auto")
         sections.append((title, fitted, tracks, result))
     analysis.report_many(sections, marker, overwrite=True)
     say(f"{marker}: written. Open it in a browser.")
