@@ -27,12 +27,12 @@ def headings_from_velocity(
         An individual that is not faster than this is at rest: its velocity says nothing of where
         it looks.
     fallback
-        Heading of who never moves. If absent it is NaN.
+        Heading before the first motion. If absent it is NaN.
 
     Returns
     -------
-    Same shape. At rest and where the velocity is unknown it is the last heading before, and before
-    the first motion the first heading thereafter.
+    Same shape. At rest and where the velocity is unknown it is the last heading before. Nothing is
+    taken from later frames: a graph must not know the future.
 
     Raises
     ------
@@ -49,12 +49,11 @@ def headings_from_velocity(
     length = velocities.shape[-3]
     clock = torch.arange(length, device=velocities.device)[:, None]
     last = torch.where(moving, clock, -1).cummax(-2).values
-    first = moving.to(torch.uint8).argmax(-2, keepdim=True)
-    source = torch.where(last < 0, first, last)[..., None].expand_as(velocities)
+    source = last.clamp(min=0)[..., None].expand_as(velocities)
     headings = (velocities / speed[..., None]).gather(-3, source)
-    never = ~moving.any(-2, keepdim=True)[..., None]
+    unknown = (last < 0)[..., None]
     if fallback is None:
-        return torch.where(never, math.nan, headings)
+        return torch.where(unknown, math.nan, headings)
     vector = velocities.new_tensor(fallback)
     norm = float(torch.linalg.vector_norm(vector))
     if vector.shape != velocities.shape[-1:] or not 0.0 < norm < math.inf:
@@ -62,4 +61,4 @@ def headings_from_velocity(
             f"fallback: it must be a direction with {velocities.shape[-1]} coordinates, not "
             f"{fallback}."
         )
-    return torch.where(never, vector / norm, headings)
+    return torch.where(unknown, vector / norm, headings)

@@ -106,6 +106,10 @@ class Fit(Run):
     ) -> xr.Dataset:
         """Predict each frame from the frame before it.
 
+        What the frame before knows of later ones, this knows too: velocities that were smoothed
+        over the whole recording (``velocity="kalman"``) have seen the frame that is predicted.
+        :func:`swarmssm.analysis.evaluate` smooths them from the past alone.
+
         Parameters
         ----------
         tracks

@@ -22,7 +22,7 @@ from swarmssm.models import SwarmBatch, SwarmModel
 __all__ = ["Progress", "TrainingData", "num_epochs", "quiet_pyro", "train"]
 
 #: A loss this many times the first one's size (at least one nat) has exploded.
-EXPLODED = 100.0
+EXPLODED = 1000.0
 HISTORY_ROWS = 100
 #: Steps in a pass over all windows, where mini-batches are left to us.
 AUTO_STEPS = 10
