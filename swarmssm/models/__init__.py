@@ -3,6 +3,16 @@
 from swarmssm.models.base import NextStep, SwarmModel
 from swarmssm.models.batch import SwarmBatch
 from swarmssm.models.graph_vae import GraphVAE
+from swarmssm.models.markov import MarkovChain, StepInputs
 from swarmssm.models.registry import MODELS, find_model
 
-__all__ = ["MODELS", "GraphVAE", "NextStep", "SwarmBatch", "SwarmModel", "find_model"]
+__all__ = [
+    "MODELS",
+    "GraphVAE",
+    "MarkovChain",
+    "NextStep",
+    "StepInputs",
+    "SwarmBatch",
+    "SwarmModel",
+    "find_model",
+]
