@@ -128,7 +128,7 @@ class Stepper:
     ) -> torch.Tensor:
         """Return the graph on which the next step runs."""
         if self.edges == "decoder" or self.rule is None:
-            drawn = torch.bernoulli(probability) if sample else (probability > 0.5).float()
+            drawn = torch.rand_like(probability) < probability if sample else probability > 0.5
             return drawn.to(states.dtype)
         positions, velocities = self.scaler.inverse_tensor(states).chunk(2, dim=-1)
         return self.rule(positions.masked_fill(gone, torch.nan), velocities).to(states.dtype)
