@@ -9,9 +9,9 @@ Equation numbers are those of the thesis. With the neighbours
     \qquad A_i = \frac{1}{|\mathcal{N}_i|} \sum_{j \in \mathcal{N}_i} v_j \quad (3.18)
 
 Shapes: positions and velocities ``(..., individual, space)`` with 2 or 3 coordinates, adjacency
-``(..., individual, individual)`` of any dtype; the leading dimensions broadcast. Adjacency may hold
-weights, for instance edge probabilities; a mean is then the weighted mean, and gradients flow
-into the weights.
+``(..., individual, individual)`` of any dtype, or an :class:`~swarmssm.graphs.EdgeList`; the
+leading dimensions broadcast. The graph may have weights, for instance edge probabilities; a mean is
+then the weighted mean, and gradients flow into the weights.
 
 Nobody is moved by what is not there: an individual without neighbours gets 0 from the three terms,
 although the means of (3.16) and (3.18) are not defined for it. A NaN row is an absent individual:
@@ -22,10 +22,12 @@ enters a result or a gradient.
 import torch
 from torch import Tensor
 
+from swarmssm.graphs import EdgeList, Graph, neighbor_sum, pair_sum
+
 __all__ = ["alignment", "cohesion", "separation", "speed_regulation", "wall"]
 
 
-def cohesion(positions: Tensor, adjacency: Tensor) -> Tensor:
+def cohesion(positions: Tensor, adjacency: Graph) -> Tensor:
     """From each individual to the mean position of its neighbours (3.16).
 
     Parameters
@@ -33,7 +35,7 @@ def cohesion(positions: Tensor, adjacency: Tensor) -> Tensor:
     positions
         Shape ``(..., individual, space)``.
     adjacency
-        Shape ``(..., individual, individual)``, ``[i, j]`` nonzero when i sees j.
+        Shape ``(..., individual, individual)``, ``[i, j]`` nonzero when i sees j, or edges.
 
     Returns
     -------
@@ -44,7 +46,7 @@ def cohesion(positions: Tensor, adjacency: Tensor) -> Tensor:
 
 def separation(
     positions: Tensor,
-    adjacency: Tensor,
+    adjacency: Graph,
     exponent: float | Tensor = 1.0,
     softening: float = 0.0,
 ) -> Tensor:
@@ -55,7 +57,7 @@ def separation(
     positions
         Shape ``(..., individual, space)``.
     adjacency
-        Shape ``(..., individual, individual)``.
+        Shape ``(..., individual, individual)``, or edges.
     exponent
         *n* of (3.17): a neighbour at distance d pushes with strength ``d ** -n``. A number, or a
         tensor that broadcasts against ``(..., individual)``, one for each pushed individual.
@@ -68,21 +70,52 @@ def separation(
     Shape ``(..., individual, space)``. Two individuals at the very same place do not push each
     other, since there is no direction to push in; value and gradient are 0 there.
     """
+    if isinstance(adjacency, EdgeList):
+        return _edge_separation(positions, adjacency, exponent, softening)
     known = _known(positions)
     filled = torch.where(known, positions, 0.0)
     # One (individual, individual) array a coordinate: sums over a last axis of 2 are slow.
     offsets = [c[..., :, None] - c[..., None, :] for c in filled.unbind(-1)]
     squared = torch.stack([offset.square() for offset in offsets]).sum(0)
-    apart = (squared > 0) & known & known.mT
-    # The inner `where` keeps the gradient of the power finite where the outer one discards it.
-    squared = torch.where(apart, squared, 1.0) + softening**2
     power = exponent[..., None] if isinstance(exponent, Tensor) else exponent
-    strength = squared ** (-0.5 * (power + 1.0))
-    weights = torch.where(apart, strength, 0.0) * adjacency.to(positions.dtype)
-    return torch.stack([(weights * offset).sum(-1) for offset in offsets], -1)
+    strength = _push(squared, known & known.mT, power, softening) * adjacency.to(positions.dtype)
+    return torch.stack([(strength * offset).sum(-1) for offset in offsets], -1)
 
 
-def alignment(velocities: Tensor, adjacency: Tensor, *, relative: bool = False) -> Tensor:
+def _edge_separation(
+    positions: Tensor, edges: EdgeList, exponent: float | Tensor, softening: float
+) -> Tensor:
+    """Return :func:`separation` over a list of edges."""
+    space = positions.shape[-1]
+    known = _known(positions)
+    columns = [torch.where(known, positions, 0.0), known.to(positions.dtype)]
+    if isinstance(exponent, Tensor):
+        # The exponent goes to the edges of an individual as a feature of it.
+        exponent = exponent.to(positions.dtype).unsqueeze(-1)
+        shape: torch.Size = torch.broadcast_shapes(  # type: ignore[no-untyped-call]
+            exponent.shape, (*positions.shape[:-1], 1)
+        )
+        columns = [column.expand(*shape[:-1], -1) for column in (*columns, exponent)]
+
+    def push(pushed: Tensor, neighbor: Tensor) -> Tensor:
+        offset = pushed[..., :space] - neighbor[..., :space]
+        squared = torch.stack([part.square() for part in offset.unbind(-1)]).sum(0).unsqueeze(-1)
+        both = (pushed[..., space] * neighbor[..., space] > 0).unsqueeze(-1)
+        power = pushed[..., space + 1 :] if isinstance(exponent, Tensor) else exponent
+        return _push(squared, both, power, softening) * offset
+
+    return pair_sum(torch.cat(columns, -1), edges, push)
+
+
+def _push(squared: Tensor, both: Tensor, power: float | Tensor, softening: float) -> Tensor:
+    """Return the strength of (3.17) by squared distance, 0 where not both are known or apart."""
+    apart = (squared > 0) & both
+    # The inner `where` keeps the gradient of the power finite where the outer one discards it.
+    softened = torch.where(apart, squared, 1.0) + softening**2
+    return torch.where(apart, softened ** (-0.5 * (power + 1.0)), 0.0)
+
+
+def alignment(velocities: Tensor, adjacency: Graph, *, relative: bool = False) -> Tensor:
     """Mean velocity of the neighbours (3.18), or how it differs from one's own.
 
     Parameters
@@ -90,7 +123,7 @@ def alignment(velocities: Tensor, adjacency: Tensor, *, relative: bool = False) 
     velocities
         Shape ``(..., individual, space)``.
     adjacency
-        Shape ``(..., individual, individual)``.
+        Shape ``(..., individual, individual)``, or edges.
     relative
         False: ``mean_j v_j``, as (3.18), which a velocity rule needs. True: ``mean_j v_j - v_i``,
         which an acceleration rule needs.
@@ -154,20 +187,21 @@ def _known(values: Tensor) -> Tensor:
     return values.isfinite().all(-1, keepdim=True)
 
 
-def _neighbor_mean(values: Tensor, adjacency: Tensor) -> tuple[Tensor, Tensor]:
+def _neighbor_mean(values: Tensor, adjacency: Graph) -> tuple[Tensor, Tensor]:
     """Return the (weighted) mean over known neighbours, and who has any, ``(..., individual, 1)``.
 
     The mean is 0 for an individual without neighbours.
     """
     known = _known(values)
-    weights = adjacency.to(values.dtype) * known.mT.to(values.dtype)
-    total = weights.sum(-1, keepdim=True)
+    columns = torch.cat([torch.where(known, values, 0.0), known.to(values.dtype)], -1)
+    # The last column counts.
+    summed = neighbor_sum(columns, adjacency)
+    total = summed[..., -1:]
     has_neighbor = total > 0
-    summed = weights @ torch.where(known, values, 0.0)
-    return summed / torch.where(has_neighbor, total, 1.0), has_neighbor
+    return summed[..., :-1] / torch.where(has_neighbor, total, 1.0), has_neighbor
 
 
-def _mean_difference(values: Tensor, adjacency: Tensor) -> Tensor:
+def _mean_difference(values: Tensor, adjacency: Graph) -> Tensor:
     """Return the neighbours' mean minus one's own value, 0 for who is alone or absent."""
     mean, has_neighbor = _neighbor_mean(values, adjacency)
     known = _known(values)

@@ -18,6 +18,7 @@ from swarmssm.analysis.forecasters import (
     law_forecaster,
 )
 from swarmssm.analysis.free_runs import collective_scores
+from swarmssm.analysis.log_scores import log_scores
 from swarmssm.analysis.subject import Subject, subject_of
 from swarmssm.analysis.thesis import thesis_table_for
 from swarmssm.errors import InputError
@@ -59,6 +60,9 @@ def evaluate(
     - *One step*: each frame from the frames before it, at the posterior mean.
     - *K steps*: the expected future of up to ``origins`` frames of each trial, without noise. At
       each step those count whose truth is known, so that later steps rest on fewer origins.
+    - *Log score*: how probable each made the positions that came, K steps ahead, as a normal
+      distribution: of sampled futures with tracking noise, or, for the baselines, about what
+      they expect with the spread of their errors in the training part.
     - *Free runs*: with everything drawn, ``draws`` times from each start. The cohesion AMD (4.4)
       and the alignment AVD (4.5) of the same individuals are compared with the truth's as long as
       that lasts. The baselines run without noise.
@@ -86,7 +90,7 @@ def evaluate(
         Of all draws.
     edges
         Where the model's later graphs come from, see
-        :class:`swarmssm.inference.forecasting.Stepper`.
+        :meth:`swarmssm.inference.Fit.predictor`.
 
     Raises
     ------
@@ -112,7 +116,9 @@ def evaluate(
         notes.append(reason)
 
     one_step = {f.name: f.one_step() for f in forecasters}
-    scores, used, more = _forecast_scores(subject, forecasters, one_step, horizons, origins)
+    scores, used, more = _forecast_scores(
+        subject, forecasters, one_step, horizons, origins, seed
+    )
     notes += more
     collective, more = collective_scores(
         subject, forecasters, steps=free_run_steps, starts=starts, draws=draws, seed=seed
@@ -176,6 +182,7 @@ def _forecast_scores(
     one_step: dict[str, tuple[Array, Array | None]],
     horizons: Sequence[int],
     origins: int,
+    seed: int,
 ) -> tuple[xr.Dataset, list[int], list[str]]:
     """Return the errors of one step and of K steps, the horizons used, and notes."""
     scaler, length = subject.scaler, subject.length
@@ -216,6 +223,9 @@ def _forecast_scores(
         )
         for future in futures
     ]
+    probable, more = log_scores(subject, forecasters, trials, rows, steps, seed)
+    notes += more
+    unknown = np.full(steps, np.nan)
     over_steps = ("method", "step")
     data = {
         "mse": ("method", [metrics.mse(truth, p, length) for p in predicted]),
@@ -223,6 +233,7 @@ def _forecast_scores(
         "squared_error": (over_steps, [e.squared_error for e in errors]),
         "forecast_mse": (over_steps, [e.mse for e in errors]),
         "forecast_mae": (over_steps, [e.mae for e in errors]),
+        "log_score": (over_steps, [probable.get(f.name, unknown) for f in forecasters]),
         "num_scored": ("step", errors[0].num_scored),
     }
     coords = {

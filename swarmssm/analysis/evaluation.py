@@ -21,7 +21,8 @@ class Evaluation:
     scores
         Dataset over ``method`` and ``step`` (1 to the longest forecast): ``mse``, ``mae`` of one
         step, (4.2) and (4.3); ``forecast_mse``, ``forecast_mae`` and ``squared_error`` (plain mean
-        over components) *at* each step, with ``num_scored (step)``.
+        over components) *at* each step, with ``num_scored (step)``; ``log_score``, nats per
+        coordinate of position, see :func:`swarmssm.analysis.log_scores.log_scores`.
     collective
         Dataset over ``series`` (``"truth"`` and the methods) and ``time`` from the start of a free
         run, in seconds: ``amd``, ``avd`` averaged over starts and draws, with ``low`` and ``high``
@@ -85,7 +86,7 @@ class Evaluation:
     def to_dict(self) -> dict[str, Any]:
         """Return scores, settings and notes for JSON; what is not known is ``None``."""
         names = ("mse", "mae", "amd_mean", "amd_error", "avd_mean", "avd_error")
-        at_steps = ("squared_error", "forecast_mse", "forecast_mae")
+        at_steps = ("squared_error", "forecast_mse", "forecast_mae", "log_score")
         methods = [str(name) for name in self.scores["method"].values]
         horizons = self.settings["horizons"]
         by_method = {

@@ -6,7 +6,7 @@ import xarray as xr
 
 from swarmssm.analysis.forecasters import Forecaster, diverged
 from swarmssm.analysis.subject import Subject
-from swarmssm.inference.forecasting import seeded
+from swarmssm.inference.prediction import seeded
 from swarmssm.tracks import Array
 
 __all__ = ["graph_snapshots", "imitation", "random_starts"]
@@ -104,11 +104,11 @@ def random_starts(subject: Subject, edges: str, *, steps: int, seed: int) -> xr.
         graph = frames[torch.from_numpy(generator.integers(len(frames), size=len(start)))]
     else:
         graph = rule(torch.from_numpy(position), torch.from_numpy(velocity))
-    stepper = subject.fit.stepper(edges)
-    scaled = torch.from_numpy(stepper.scaler.transform(start)).to(torch.float32)
+    predictor = subject.fit.predictor(edges)
+    beginning = predictor.begin_at(torch.from_numpy(start), graph)
     with seeded(seed):
-        path = stepper.run(scaled, graph, torch.ones(shape, dtype=torch.bool), steps, sample=True)
-    states = stepper.scaler.inverse(path.states.numpy().astype(np.float64))
+        path = predictor.run(beginning, steps, sample=True)
+    states = subject.fit.preparation.scaler.inverse(path.states.numpy().astype(np.float64))
     states = diverged(states, np.ones(states.shape[:-1], dtype=bool))
     states = np.concatenate([start[:, None], states], axis=1)
     states = np.where(np.isfinite(states), states, np.nan)

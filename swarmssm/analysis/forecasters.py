@@ -1,6 +1,7 @@
 """One face for all that are compared: the fitted model, the baselines, the true rule."""
 
 import contextlib
+import json
 from typing import Any, Protocol
 
 import numpy as np
@@ -11,7 +12,7 @@ from swarmssm import simulate
 from swarmssm.analysis.subject import Subject
 from swarmssm.errors import InputError, WorkError
 from swarmssm.graphs import GraphRule
-from swarmssm.inference.forecasting import seeded
+from swarmssm.inference.prediction import seeded
 from swarmssm.metrics.masked import known
 from swarmssm.models.baselines import Baseline
 from swarmssm.simulate import Law
@@ -50,13 +51,18 @@ class Forecaster(Protocol):
     ) -> Array | None:
         """Return futures as they may come, ``(draw, origin, step, individual, state)``."""
 
+    def positions(
+        self, trials: Rows, rows: Rows, steps: int, draws: int, seed: int
+    ) -> Array | None:
+        """Return positions as they may be seen, tracking noise included, in the same order."""
+
 
 class ModelForecaster:
     """The fitted model: at its posterior mean, or drawn."""
 
     def __init__(self, subject: Subject, edges: str) -> None:
         self.name = self.title = subject.fit.settings.model
-        self.subject, self.stepper = subject, subject.fit.stepper(edges)
+        self.subject, self.predictor = subject, subject.fit.predictor(edges)
 
     def one_step(self) -> tuple[Array, Array | None]:
         """Predict at the posterior mean."""
@@ -73,32 +79,38 @@ class ModelForecaster:
 
     def forecasts(self, trials: Rows, rows: Rows, steps: int) -> Array:
         """Run the rule at its means, one future an origin."""
-        return self._run(trials, rows, steps, sample=False)
+        return self._run(trials, rows, steps, draws=0)
 
     def free_runs(self, trials: Rows, rows: Rows, steps: int, draws: int, seed: int) -> Array:
         """Run the rule with everything drawn."""
         with seeded(seed):
-            flat = self._run(np.tile(trials, draws), np.tile(rows, draws), steps, sample=True)
-        return flat.reshape(draws, len(rows), *flat.shape[1:])
+            return self._run(trials, rows, steps, draws=draws)
 
-    def _run(self, trials: Rows, rows: Rows, steps: int, *, sample: bool) -> Array:
+    def positions(self, trials: Rows, rows: Rows, steps: int, draws: int, seed: int) -> Array:
+        """Run the rule and draw what is seen of it."""
+        with seeded(seed):
+            states = self._run(trials, rows, steps, draws=draws, seen=True)
+        return states[..., : self.subject.num_space]
+
+    def _run(
+        self, trials: Rows, rows: Rows, steps: int, *, draws: int, seen: bool = False
+    ) -> Array:
         """Run from frames of the subject, a bounded number at once."""
         inputs = self.subject.inputs
-        size = max(1, CHUNK // (steps * inputs.mask.shape[-1] ** 2))
+        size = max(1, CHUNK // (max(draws, 1) * steps * inputs.mask.shape[-1] ** 2))
         pieces = []
         for first in range(0, len(rows), size):
-            at = (
-                torch.from_numpy(trials[first : first + size]),
-                torch.from_numpy(rows[first : first + size]),
+            chosen = slice(first, first + size)
+            beginning = self.predictor.begin(
+                inputs, torch.from_numpy(trials[chosen]), torch.from_numpy(rows[chosen]), draws
             )
-            present = inputs.mask[at]
-            path = self.stepper.run(
-                inputs.observations[at], inputs.adjacency[at], present, steps, sample=sample
-            )
-            states = self.stepper.scaler.inverse(path.states.numpy().astype(np.float64))
-            there = np.broadcast_to(present.numpy()[:, None], states.shape[:-1])
+            path = self.predictor.run(beginning, steps, sample=bool(draws))
+            scaler = self.subject.fit.preparation.scaler
+            drawn = self.predictor.observe(path.states, beginning) if seen else path.states
+            states = scaler.inverse(drawn.numpy().astype(np.float64))
+            there = np.broadcast_to(beginning.present.numpy()[..., None, :], states.shape[:-1])
             pieces.append(diverged(states, there))
-        return np.concatenate(pieces)
+        return np.concatenate(pieces, axis=-4)
 
 
 class BaselineForecaster:
@@ -107,7 +119,7 @@ class BaselineForecaster:
     def __init__(self, subject: Subject, baseline: Baseline) -> None:
         self.name, self.title = baseline.name, baseline.title
         self.subject, self.baseline = subject, baseline
-        self.known = np.where(subject.inputs.mask.numpy()[..., None], subject.inputs.states, np.nan)
+        self.known = np.where(subject.inputs.known.numpy()[..., None], subject.inputs.states, np.nan)
 
     def one_step(self) -> tuple[Array, Array | None]:
         """Predict each frame; the graph is the one before, or that of the predicted states."""
@@ -130,6 +142,9 @@ class BaselineForecaster:
         """Go on without noise: one draw."""
         return self.forecasts(trials, rows, steps)[None]
 
+    def positions(self, trials: Rows, rows: Rows, steps: int, draws: int, seed: int) -> None:
+        """Return nothing: a baseline has no noise of its own."""
+
 
 class LawForecaster:
     """The law that simulated the tracks: nobody can do better than its noise allows.
@@ -149,7 +164,7 @@ class LawForecaster:
             self.velocity = tracks["true_velocity"].transpose(*order).to_numpy()
         # Nobody's step is known while one whom others may see is not.
         self.whole = np.logical_and.reduce(
-            known(self.position) & known(self.velocity) & inputs.mask.numpy(), axis=-1
+            known(self.position) & known(self.velocity) & inputs.known.numpy(), axis=-1
         )
 
     def one_step(self) -> tuple[Array, Array | None]:
@@ -164,7 +179,7 @@ class LawForecaster:
             velocity = tracks["next_velocity"].transpose(*order).to_numpy()
         states = np.concatenate([following, velocity], axis=-1)
         predicted = np.full_like(states, np.nan)
-        predicted[:, 1:] = np.where(inputs.mask.numpy()[..., None], states, np.nan)[:, :-1]
+        predicted[:, 1:] = np.where(inputs.known.numpy()[..., None], states, np.nan)[:, :-1]
         return predicted, rule_graph(self.subject.fit.preparation.rule, predicted)
 
     def forecasts(self, trials: Rows, rows: Rows, steps: int) -> Array | None:
@@ -178,6 +193,19 @@ class LawForecaster:
         generator = torch.Generator().manual_seed(seed)
         flat = self._run(np.tile(trials, draws), np.tile(rows, draws), steps, generator)
         return None if flat is None else flat.reshape(draws, len(rows), *flat.shape[1:])
+
+    def positions(
+        self, trials: Rows, rows: Rows, steps: int, draws: int, seed: int
+    ) -> Array | None:
+        """Run the law with fresh noise, and add that of tracking."""
+        runs = self.free_runs(trials, rows, steps, draws, seed)
+        if runs is None:
+            return None
+        parameters = json.loads(self.subject.tracks.attrs["simulation"])
+        noise = float(parameters.get("observation_noise", 0.0))
+        drawn = np.random.default_rng(seed).normal(size=(*runs.shape[:-1], self.subject.num_space))
+        positions: Array = runs[..., : self.subject.num_space] + noise * drawn
+        return positions
 
     def _run(
         self, trials: Rows, rows: Rows, steps: int, generator: torch.Generator | None

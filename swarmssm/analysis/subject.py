@@ -43,6 +43,8 @@ class Subject:
         The truth: ``(trial, time, individual, state)`` in the tracks' own units, NaN where
         unknown; ``(trial, time, individual, individual)`` and ``(trial, time, individual)`` of
         bool.
+    training
+        States of the training part, if the tracks are those the model was fitted on.
     scaler
         Brings states to the scale of the scores.
     length
@@ -56,6 +58,7 @@ class Subject:
     part: str
     inputs: Prepared
     states: Array
+    training: Array | None
     adjacency: Mask
     mask: Mask
     scaler: Scaler
@@ -135,7 +138,7 @@ def subject_of(fit: Fit, tracks: xr.Dataset, part: str | None = None) -> Subject
     training = take(tracks, fit.split.train) if own else None
     scored = with_trials(tracks) if part == "all" else fit.part(tracks, part)
     truth = fit.prepare(scored)
-    known = truth.mask.numpy()
+    known = truth.known.numpy()
     if not (known[:, 1:] & known[:, :-1]).any():
         raise InputError(
             f"tracks: in the scored part ({part}) nobody is seen in two consecutive frames with "
@@ -157,12 +160,14 @@ def subject_of(fit: Fit, tracks: xr.Dataset, part: str | None = None) -> Subject
     length = metrics.step_length(scaler.transform(states))
     if length == 0.0:
         raise InputError("tracks: nothing moves in the scored part; there is nothing to score.")
+    learned = None if training is None else fit.prepare(training).states
     return Subject(
         fit,
         scored,
         part,
         inputs,
         states,
+        learned,
         truth.adjacency.numpy(),
         known,
         scaler,

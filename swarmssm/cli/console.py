@@ -26,6 +26,7 @@ __all__ = [
     "Seed",
     "TableFormat",
     "TrustCode",
+    "named_texts",
     "named_values",
     "print_evaluation",
     "print_json",
@@ -92,6 +93,10 @@ def print_evaluation(title: str, result: "Evaluation", thesis: str | None = None
     if thesis is not None:
         say(analysis.THESIS_FOOTNOTE)
     print_rows("squared error at each step ahead, scaled states", analysis.horizon_table(result))
+    print_rows(
+        "log score of positions at each step ahead, nats per coordinate (higher is better)",
+        analysis.horizon_table(result, "log_score"),
+    )
     print_rows("edges of the next graph", analysis.edge_table(result))
     for note in result.notes:
         say(note)
@@ -132,18 +137,32 @@ def named_values(pairs: Sequence[str], option: str) -> dict[str, Any]:
         If one has no ``=``, or a name stands twice.
     """
     values: dict[str, Any] = {}
-    for pair in pairs:
-        name, equals, text = pair.partition("=")
-        name = name.strip().replace("-", "_")
-        if not equals or not name:
-            raise InputError(f"{option}: {pair!r} is not of the form name=value.")
-        if name in values:
-            raise InputError(f"{option}: {name} stands there twice.")
+    for name, text in named_texts(pairs, option).items():
         try:
             values[name] = json.loads(text)
         except ValueError:
             values[name] = text
     return values
+
+
+def named_texts(pairs: Sequence[str], option: str) -> dict[str, str]:
+    """Read ``name=text`` pairs as they are.
+
+    Raises
+    ------
+    InputError
+        If one has no ``=``, or a name stands twice.
+    """
+    texts: dict[str, str] = {}
+    for pair in pairs:
+        name, equals, text = pair.partition("=")
+        name = name.strip().replace("-", "_")
+        if not equals or not name:
+            raise InputError(f"{option}: {pair!r} is not of the form name=value.")
+        if name in texts:
+            raise InputError(f"{option}: {name} stands there twice.")
+        texts[name] = text.strip()
+    return texts
 
 
 @contextmanager
@@ -176,10 +195,11 @@ def training_progress(label: str) -> Iterator[Callable[["Progress"], None]]:
     def line(progress: "Progress") -> None:
         nonlocal last
         done = progress.epoch == progress.num_epochs
+        whole = "" if progress.num_epochs is None else f" of {progress.num_epochs}"
         if done or time.monotonic() - last >= LINE_EVERY:
             last = time.monotonic()
             typer.echo(
-                f"{label}: epoch {progress.epoch} of {progress.num_epochs}, "
+                f"{label}: epoch {progress.epoch}{whole}, "
                 f"loss {short(progress.loss)}",
                 err=True,
             )

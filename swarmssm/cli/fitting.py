@@ -1,11 +1,22 @@
 """``swarmssm fit``: from tracks to a run folder."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from swarmssm.cli.console import Overwrite, Seed, named_values, print_table, say, training_progress
+from swarmssm.cli.console import (
+    Overwrite,
+    Seed,
+    named_texts,
+    named_values,
+    print_table,
+    say,
+    training_progress,
+)
+
+if TYPE_CHECKING:
+    from swarmssm.inference import Fit
 
 __all__ = ["fit"]
 
@@ -22,8 +33,18 @@ def fit(
         str, typer.Option(help="Name of a model, or module:attribute of your own.")
     ] = "graph-vae",
     guide: Annotated[
-        str, typer.Option(help="Name of a guide, or module:attribute of your own.")
-    ] = "encoder",
+        str, typer.Option(
+            help="Name of a guide, or module:attribute of your own. Default: the model's usual one."
+        ),
+    ] = "auto",
+    prior: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=DIST(ARGS)",
+            help="Prior of a named parameter, for instance cohesion_gain=LogNormal(-1,0.5); "
+            "repeatable.",
+        ),
+    ] = None,
     steps: Annotated[
         int | None, typer.Option(help="Steps of the optimiser, rounded up to whole epochs.")
     ] = None,
@@ -34,7 +55,7 @@ def fit(
     lr: Annotated[float, typer.Option(help="Learning rate of Adam.")] = 0.005,
     schedule: Annotated[str, typer.Option(help="Learning rate: cosine or constant.")] = "cosine",
     window: Annotated[
-        int | None, typer.Option(help="Frames in a window; 0 for whole trials. Default: 20.")
+        int | None, typer.Option(help="Frames in a window; 0 for whole trials. Default: the guide's.")
     ] = None,
     batch_windows: Annotated[
         int | None, typer.Option(help="Windows in a mini-batch; 0 for all. Default: a tenth.")
@@ -46,7 +67,9 @@ def fit(
         ),
     ] = "auto",
     velocity: Annotated[str, typer.Option(help="auto, difference or kalman.")] = "auto",
-    scaler: Annotated[str, typer.Option(help="minmax, isotropic or none.")] = "minmax",
+    scaler: Annotated[
+        str, typer.Option(help="auto (the model's own), minmax, isotropic or none.")
+    ] = "auto",
     split_by: Annotated[str, typer.Option(help="auto, time or trial.")] = "auto",
     patience: Annotated[
         int | None,
@@ -83,6 +106,7 @@ def fit(
         "device": device,
         "model_options": named_values(model_option or [], "--model-option"),
         "guide_options": named_values(guide_option or [], "--guide-option"),
+        "priors": named_texts(prior or [], "--prior"),
         **named_values(settings or [], "--set"),
     }
     for name, value in (("window", window), ("batch_windows", batch_windows)):
@@ -101,14 +125,26 @@ def fit(
             callbacks=[show],
             **given,
         )
+    _print_fit(fitted)
+    say(f"{out}: written. Next: swarmssm evaluate {out} {file}")
+
+
+def _print_fit(fitted: "Fit") -> None:
+    """Print how the fit went, and the posterior of its named parameters."""
     last = fitted.history.iloc[-1]
     best = fitted.history["validation_loss"].min()
     rows = [
-        ("model", f"{model} with guide {guide}, {fitted.num_parameters} parameters"),
+        ("model", f"{fitted.settings.model} with guide {fitted.settings.guide}"),
+        ("learned numbers", f"{fitted.num_parameters}"),
         ("steps", f"{last['step']:.0f} in {last['epoch']:.0f} epochs, {last['seconds']:.1f} s"),
         ("loss", f"{last['loss']:.4g} nats per coordinate"),
         ("validation", "no validation part" if best != best else f"{best:.4g} at its best"),
-        ("one step, training part", f"MSE {last['mse']:.3g} (4.2), MAE {last['mae']:.3g} (4.3)"),
     ]
+    if "mse" in last:
+        scores = f"MSE {last['mse']:.3g} (4.2), MAE {last['mae']:.3g} (4.3)"
+        rows.append(("one step, training part", scores))
     print_table("", ("fit", ""), rows)
-    say(f"{out}: written. Next: swarmssm evaluate {out} {file}")
+    summary = fitted.parameter_table()
+    if len(summary):
+        columns = ("parameter", "mean", "sd", "5 %", "95 %")
+        print_table("posterior, with 90 % intervals", columns, summary.reset_index().values.tolist())

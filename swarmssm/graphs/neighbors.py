@@ -8,6 +8,7 @@ through in portions, so that beyond the result itself memory stays bounded.
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +19,9 @@ from torch import Tensor
 from swarmssm.errors import InputError
 
 __all__ = ["complete_graph", "k_nearest_graph", "nearest_distances", "pairs", "radius_graph"]
+
+Points = npt.NDArray[np.floating]
+Pairs = tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]
 
 #: Distances held at once: 4 million of 8 bytes are 32 MB, well above what one frame of a few
 #: hundred needs, and small enough to stay near the processor.
@@ -224,25 +228,80 @@ def _k_nearest_by_tree(positions: Tensor, k: int) -> Tensor:
     frames = positions.detach().reshape(-1, *positions.shape[-2:]).numpy()
     out = torch.zeros((*frames.shape[:-1], frames.shape[-2]), dtype=torch.bool)
     for edges, points in zip(out.numpy(), frames, strict=True):
-        present = np.flatnonzero(np.isfinite(points).all(-1))
-        if len(present) <= k + 1:
-            edges[np.ix_(present, present)] = ~np.eye(len(present), dtype=bool)
-            continue
-        there = points[present]
-        others, tied = _tree_neighbors(there, k)
-        edges[present[:, None], present[others]] = True
-        if tied.any():
-            distances = torch.from_numpy(scipy.spatial.distance.cdist(there[tied], there))
-            distances[torch.arange(int(tied.sum())), torch.from_numpy(tied).nonzero()[:, 0]] = (
-                math.inf
-            )
-            edges[np.ix_(present[tied], present)] = _smallest(distances, k).numpy()
+        edges[k_nearest_pairs(points, k)] = True
     return out.reshape(*positions.shape[:-1], positions.shape[-2])
 
 
-def _tree_neighbors(
-    points: npt.NDArray[np.floating], k: int
-) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.bool_]]:
+def k_nearest_pairs(points: Points, k: int) -> Pairs:
+    """Return the edges of :func:`k_nearest_graph` in one frame, found by a k-d tree.
+
+    Parameters
+    ----------
+    points
+        Shape ``(individual, space)``, NaN = absent.
+    k
+        Number of neighbours, from 1.
+
+    Returns
+    -------
+    Who sees, and who is seen, ``(edge,)`` each, in no certain order.
+    """
+    present = np.flatnonzero(np.isfinite(points).all(-1))
+    if len(present) <= k + 1:
+        i, j = np.nonzero(~np.eye(len(present), dtype=bool))
+        return present[i], present[j]
+    there = points[present]
+    others, tied = _tree_neighbors(there, k)
+    receivers, senders = [np.repeat(np.flatnonzero(~tied), k)], [others[~tied].ravel()]
+    # All distances of those whose neighbours a tie leaves open, but not of all of them at once.
+    open_ties = np.flatnonzero(tied)
+    for rows in portions(len(open_ties), len(there)):
+        own = open_ties[rows]
+        distances = torch.from_numpy(scipy.spatial.distance.cdist(there[own], there))
+        distances[torch.arange(len(own)), torch.from_numpy(own)] = math.inf
+        i, j = np.nonzero(_smallest(distances, k).numpy())
+        receivers.append(own[i])
+        senders.append(j)
+    return present[np.concatenate(receivers)], present[np.concatenate(senders)]
+
+
+def radius_pairs(points: Points, radius: float, box: float | None = None) -> Pairs:
+    """Return the edges of :func:`radius_graph` in one frame, found by a k-d tree.
+
+    Parameters
+    ----------
+    points
+        Shape ``(individual, space)``, NaN = absent.
+    radius, box
+        As there.
+
+    Returns
+    -------
+    Who sees, and who is seen, ``(edge,)`` each, in no certain order.
+    """
+    present = np.flatnonzero(np.isfinite(points).all(-1))
+    there = points[present]
+    tree: Any
+    if box is None:
+        tree = scipy.spatial.cKDTree(there)
+    else:
+        inside = np.mod(there.astype(np.float64), box)
+        # What is just below 0 is rounded to the side itself.
+        sides = np.full(points.shape[-1], box)
+        tree = scipy.spatial.cKDTree(np.where(inside < box, inside, 0.0), boxsize=sides)
+    # Somewhat more than there are, and then those of them whose distance, rounded as in the dense
+    # graph, is within the radius.
+    slack = 64.0 * float(np.finfo(points.dtype).eps) * (radius + np.abs(there).max(initial=0.0))
+    pair = tree.query_pairs(radius + slack, output_type="ndarray")
+    apart = torch.from_numpy(there[pair[:, 0]] - there[pair[:, 1]])
+    if box is not None:
+        apart = apart - box * torch.round(apart / box)
+    pair = pair[(torch.linalg.vector_norm(apart, dim=-1) <= radius).numpy()]
+    i, j = present[pair[:, 0]], present[pair[:, 1]]
+    return np.concatenate([i, j]), np.concatenate([j, i])
+
+
+def _tree_neighbors(points: Points, k: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.bool_]]:
     """Return the k nearest others of each point ``(point, k)``, and where a tie leaves them open.
 
     A tie is open where the next one is as near as the last one taken.
@@ -256,9 +315,7 @@ def _tree_neighbors(
     return indices[:, :k], distances[:, k - 1] == distances[:, k]
 
 
-def _query(
-    points: npt.NDArray[np.floating], k: int
-) -> tuple[npt.NDArray[np.floating], npt.NDArray[np.intp]]:
+def _query(points: Points, k: int) -> tuple[Points, npt.NDArray[np.intp]]:
     """Return distances and indices of the k nearest of each point, itself among them."""
     distances, indices = scipy.spatial.cKDTree(points).query(points, k=k)
     return np.asarray(distances), np.asarray(indices)

@@ -13,7 +13,14 @@ from swarmssm.models import SwarmBatch
 from swarmssm.scaling import Scaler, fit_scaler
 from swarmssm.tracks import Array, states_of, validate_tracks, with_trials
 
-__all__ = ["Preparation", "Prepared", "preparation_for", "prepare", "windows_of"]
+__all__ = [
+    "Preparation",
+    "Prepared",
+    "frames_of",
+    "preparation_for",
+    "prepare",
+    "windows_of",
+]
 
 
 @dataclass(frozen=True)
@@ -30,12 +37,15 @@ class Preparation:
         How the graph of new states is made; ``None`` if only the tracks know theirs.
     own_graph
         Whether tracks that carry an adjacency keep it.
+    observes
+        ``"states"``: the model is given positions and velocities; ``"positions"``: those alone.
     """
 
     scaler: Scaler
     velocity: str
     rule: GraphRule | None
     own_graph: bool
+    observes: str = "states"
 
 
 @dataclass(frozen=True)
@@ -48,12 +58,19 @@ class Prepared:
         With trials, velocities and adjacency.
     states
         ``(trial, time, individual, state)`` in the tracks' own units, NaN where unknown.
+    scaled
+        The same, scaled; 0 where unknown.
+    known
+        ``(trial, time, individual)`` of bool: position and velocity are known.
     observations, mask, adjacency
-        As in :class:`swarmssm.models.SwarmBatch`, whole trials; the adjacency is of bool.
+        As in :class:`swarmssm.models.SwarmBatch`, whole trials; the adjacency is of bool. What
+        the model is given: where it observes positions alone, these are masked by themselves.
     """
 
     tracks: xr.Dataset
     states: Array
+    scaled: torch.Tensor
+    known: torch.Tensor
     observations: torch.Tensor
     mask: torch.Tensor
     adjacency: torch.Tensor
@@ -64,7 +81,7 @@ class Prepared:
 
 
 def preparation_for(
-    tracks: xr.Dataset, *, scaler: str, graph: str, velocity: str
+    tracks: xr.Dataset, *, scaler: str, graph: str, velocity: str, observes: str = "states"
 ) -> tuple[Preparation, xr.Dataset]:
     """Decide on the training part what will be done to all.
 
@@ -74,6 +91,8 @@ def preparation_for(
         The training part.
     scaler, graph, velocity
         See :class:`swarmssm.inference.settings.FitSettings`.
+    observes
+        See :class:`Preparation`.
 
     Returns
     -------
@@ -99,7 +118,7 @@ def preparation_for(
     else:
         rule = GraphRule.parse(graph).fitted_to(tracks)
     fitted = fit_scaler(states_of(tracks), scaler)
-    return Preparation(fitted, velocity, rule, own_graph), tracks
+    return Preparation(fitted, velocity, rule, own_graph, observes), tracks
 
 
 def prepare(tracks: xr.Dataset, preparation: Preparation) -> Prepared:
@@ -132,13 +151,28 @@ def prepare(tracks: xr.Dataset, preparation: Preparation) -> Prepared:
         tracks = add_adjacency(tracks, preparation.rule, overwrite=True)
     states = states_of(tracks)
     known = np.asarray(np.isfinite(states).all(axis=-1))
-    scaled = np.where(known[..., None], preparation.scaler.transform(states), 0.0)
-    mask = torch.from_numpy(known)
+    # Positions are known where velocities are not, in the first frame of a run.
+    scaled = np.nan_to_num(preparation.scaler.transform(states), nan=0.0)
+    if preparation.observes == "positions":
+        half = num_features // 2
+        seen = np.asarray(np.isfinite(states[..., :half]).all(axis=-1))
+        observed = np.where(seen[..., None], scaled[..., :half], 0.0)
+    else:
+        seen, observed = known, np.where(known[..., None], scaled, 0.0)
+    mask = torch.from_numpy(seen)
     adjacency = torch.from_numpy(
         tracks["adjacency"].transpose("trial", "time", "individual", "neighbor").to_numpy() != 0
     )
     adjacency &= mask.unsqueeze(-1) & mask.unsqueeze(-2)
-    return Prepared(tracks, states, torch.from_numpy(scaled).to(torch.float32), mask, adjacency)
+    return Prepared(
+        tracks,
+        states,
+        torch.from_numpy(np.where(known[..., None], scaled, 0.0)).to(torch.float32),
+        torch.from_numpy(known),
+        torch.from_numpy(observed).to(torch.float32),
+        mask,
+        adjacency,
+    )
 
 
 def _with_velocity(tracks: xr.Dataset, velocity: str) -> xr.Dataset:
@@ -148,11 +182,11 @@ def _with_velocity(tracks: xr.Dataset, velocity: str) -> xr.Dataset:
     return add_velocity(tracks, velocity)
 
 
-def windows_of(prepared: Prepared, window: int | None) -> SwarmBatch:
-    """Cut whole trials into windows that hold each step of the recording once.
+def windows_of(prepared: Prepared, window: int | None, *, share_border: bool = True) -> SwarmBatch:
+    """Cut whole trials into windows that cover the recording once.
 
-    Windows of a trial share their border frame; the last is padded. A window in which nobody is
-    seen in two consecutive frames is left out: it has no term in the ELBO.
+    A window in which nobody is seen in two frames - consecutive ones, if borders are shared - is
+    left out: there is no step to learn from. The last window of a trial is padded.
 
     Parameters
     ----------
@@ -160,6 +194,9 @@ def windows_of(prepared: Prepared, window: int | None) -> SwarmBatch:
         Tracks as a model sees them.
     window
         Frames in a window, at least 2; ``None`` for whole trials.
+    share_border
+        Whether consecutive windows share their border frame, so that each *step* is in one of
+        them; else each *frame* is.
 
     Returns
     -------
@@ -174,26 +211,44 @@ def windows_of(prepared: Prepared, window: int | None) -> SwarmBatch:
         raise InputError(f"window: it must be at least 2 frames, and it is {window}.")
     num_times = prepared.mask.shape[1]
     length = num_times if window is None else min(window, num_times)
-    pieces: list[tuple[torch.Tensor, torch.Tensor, torch.Tensor]] = []
-    for observations, mask, adjacency in zip(
-        prepared.observations, prepared.mask, prepared.adjacency, strict=True
-    ):
-        for start in range(0, num_times - 1, max(length - 1, 1)):
-            part = slice(start, start + length)
-            if not (mask[part][1:] & mask[part][:-1]).any():
-                continue
-            short = length - len(mask[part])
-            pieces.append(
-                (
-                    torch.nn.functional.pad(observations[part], (0, 0, 0, 0, 0, short)),
-                    torch.nn.functional.pad(mask[part], (0, 0, 0, short)),
-                    torch.nn.functional.pad(
-                        adjacency[part].to(torch.float32), (0, 0, 0, 0, 0, short)
-                    ),
-                )
-            )
-    if not pieces:
-        raise InputError(
-            "tracks: nobody is seen in two consecutive frames; there is no step to learn."
-        )
-    return SwarmBatch.of(*(torch.stack(column) for column in zip(*pieces, strict=True)))
+    last, stride = (num_times - 1, length - 1) if share_border else (num_times, length)
+    trials, starts = [], []
+    for trial, mask in enumerate(prepared.mask):
+        for start in range(0, last, max(stride, 1)):
+            part = mask[start : start + length]
+            both = part[1:] & part[:-1] if share_border else part.sum(0) > 1
+            if both.any():
+                trials.append(trial)
+                starts.append(start)
+    if not trials:
+        frames = "two consecutive frames" if share_border else "two frames of a window"
+        raise InputError(f"tracks: nobody is seen in {frames}; there is no step to learn.")
+    return frames_of(prepared, torch.tensor(trials), torch.tensor(starts), length)
+
+
+def frames_of(
+    prepared: Prepared, trials: torch.Tensor, starts: torch.Tensor, length: int
+) -> SwarmBatch:
+    """Return windows of any trials and first rows; what lies outside a trial is not observed.
+
+    Parameters
+    ----------
+    prepared
+        Tracks as a model sees them.
+    trials, starts
+        ``(window,)``: trial and row of the first frame, which may be negative.
+    length
+        Frames in a window.
+
+    Returns
+    -------
+    A batch that is its own population.
+    """
+    num_times = prepared.mask.shape[1]
+    rows = starts.unsqueeze(-1) + torch.arange(length)
+    inside = (rows >= 0) & (rows < num_times)
+    at = (trials.unsqueeze(-1), rows.clamp(0, num_times - 1))
+    mask = prepared.mask[at] & inside.unsqueeze(-1)
+    adjacency = prepared.adjacency[at] & inside[..., None, None]
+    observations = prepared.observations[at] * inside[..., None, None]
+    return SwarmBatch.of(observations, mask, adjacency.to(torch.float32))

@@ -1,26 +1,36 @@
 """A fitted model: its posterior, forecasts and free runs, with labels."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import torch
 import xarray as xr
 
 from swarmssm.errors import InputError, WorkError
 from swarmssm.inference.data import Prepared, prepare
-from swarmssm.inference.forecasting import Stepper, Trajectory, seeded
+from swarmssm.inference.guides import OneStepGuide
+from swarmssm.inference.prediction import (
+    Beginning,
+    OneStepPredictor,
+    Predictor,
+    StateSpacePredictor,
+    Trajectory,
+    seeded,
+)
 from swarmssm.inference.run_folder import Run, load_run, save_run
-from swarmssm.inference.starting import Start, fullest_frames, last_frames, start_at
+from swarmssm.inference.starting import fullest_frames, last_frames
+from swarmssm.models import OneStepModel, StateSpaceModel
 from swarmssm.splits import take
 from swarmssm.tracks import MAX_COORDINATE, Array, make_tracks
 
 __all__ = ["Fit"]
 
-#: Elements of the largest tensor of one chunk of frames, so that memory stays bounded.
-CHUNK = 20_000_000
+EDGE_SOURCES = ("decoder", "rule")
+#: Frames of history from which a state-space model is filtered at most.
+HISTORY = 100
 
 
 @dataclass(frozen=True)
@@ -79,24 +89,78 @@ class Fit(Run):
         """
         _check_count("draws", draws, 0)
         prepared = self.prepare(tracks)
-        hidden = ~prepared.mask.unsqueeze(-1)
-
-        def encode(observations: torch.Tensor, adjacency: torch.Tensor) -> tuple[torch.Tensor, ...]:
-            posterior = self.guide.encode(observations, adjacency)
-            return posterior.mean, posterior.stddev
-
-        mean, sd = self._by_chunks(prepared, encode)
+        with seeded(seed):
+            mean, sd, states = self.predictor().posterior(prepared, draws)
         dims = ("trial", "time", "individual", "latent")
-        data: dict[str, Any] = {
-            "mean": (dims, mean.masked_fill(hidden, torch.nan).numpy()),
-            "sd": (dims, sd.masked_fill(hidden, torch.nan).numpy()),
-        }
-        if draws:
-            with seeded(seed):
-                noise = torch.randn(draws, *mean.shape)
-            states = (mean + sd * noise).masked_fill(hidden, torch.nan)
+        data: dict[str, Any] = {"mean": (dims, mean.numpy()), "sd": (dims, sd.numpy())}
+        if states is not None:
             data["states"] = (("draw", *dims), states.numpy())
         return self._label(xr.Dataset(data), prepared.tracks)
+
+    def parameters(self, draws: int = 1000, seed: int | torch.Generator = 0) -> xr.Dataset:
+        """Draw the parameters of the model that have a prior from their posterior.
+
+        Parameters
+        ----------
+        draws
+            How many.
+        seed
+            Seed or generator.
+
+        Returns
+        -------
+        Dataset with a variable ``(draw, ...)`` for each, by its full name such as
+        ``transition.cohesion_gain``; empty if no parameter has a prior.
+
+        Raises
+        ------
+        InputError
+            If ``draws`` is not positive.
+        """
+        _check_count("draws", draws, 1)
+        guide = getattr(self.guide, "parameters_guide", None)
+        if guide is None:
+            return xr.Dataset()
+        with seeded(seed):
+            drawn = guide.draw(draws)
+        data = {}
+        for name, value in drawn.items():
+            short = name.rpartition(".")[2]
+            dims = ["draw", *(f"{short}_dim_{i}" for i in range(value.dim() - 1))]
+            data[name] = (dims, value.numpy())
+        return xr.Dataset(data, {"draw": np.arange(draws)})
+
+    def parameter_table(self, draws: int = 4000, seed: int | torch.Generator = 0) -> pd.DataFrame:
+        """Summarise the posterior of the parameters that have a prior.
+
+        Parameters
+        ----------
+        draws
+            Number of draws behind each row.
+        seed
+            Seed or generator.
+
+        Returns
+        -------
+        A row for each number, named by the parameter (and its place, for several), without the part
+        of the model where that leaves no doubt; columns ``mean``, ``sd``, ``low`` and ``high``,
+        these the ends of the central 90 % interval.
+        """
+        drawn = self.parameters(draws, seed)
+        names = [str(name) for name in drawn.data_vars]
+        short = [name.rpartition(".")[2] for name in names]
+        rows = {}
+        for name, own in zip(names, short, strict=True):
+            label = own if short.count(own) == 1 else name
+            values = drawn[name].to_numpy()
+            for place in np.ndindex(values.shape[1:]):
+                column = values[(slice(None), *place)]
+                index = f"[{', '.join(map(str, place))}]" if place else ""
+                low, high = np.quantile(column, [0.05, 0.95])
+                rows[label + index] = (column.mean(), column.std(), low, high)
+        columns = ["mean", "sd", "low", "high"]
+        table = pd.DataFrame.from_dict(rows, orient="index", columns=columns)
+        return table.rename_axis("parameter")
 
     def predictive(
         self,
@@ -133,21 +197,11 @@ class Fit(Run):
         """
         _check_count("draws", draws, 0)
         prepared = self.prepare(tracks)
-        absent = ~prepared.mask
-
-        def step(observations: torch.Tensor, adjacency: torch.Tensor) -> tuple[torch.Tensor, ...]:
-            posterior = self.guide.encode(observations, adjacency)
-            following = self.model.decode(posterior.sample() if draws else posterior.mean)
-            states = following.states.sample() if draws else following.states.mean
-            return states, following.edge_logits.sigmoid()
-
+        predictor = self.predictor()
         results = []
         with seeded(seed):
             for _ in range(max(draws, 1)):
-                states, edges = self._by_chunks(prepared, step)
-                states = states.masked_fill(absent.unsqueeze(-1), torch.nan)
-                alone = absent.unsqueeze(-1) | absent.unsqueeze(-2)
-                edges = edges.masked_fill(alone, torch.nan)
+                states, edges = predictor.one_step(prepared, sample=bool(draws))
                 results.append((_delayed(states), _delayed(edges)))
         states, edges = (torch.stack(column) for column in zip(*results, strict=True))
         if not draws:
@@ -157,10 +211,35 @@ class Fit(Run):
         data["edge_probability"] = (edge_dims, edges.numpy())
         return self._label(xr.Dataset(data), prepared.tracks)
 
-    def stepper(self, edges: str = "decoder") -> Stepper:
-        """Return the one-step rule on tensors, see :class:`Stepper`."""
-        return Stepper(
-            self.model, self.guide, self.preparation.scaler, self.preparation.rule, edges
+    def predictor(self, edges: str = "decoder") -> Predictor:
+        """Return what predicts, on tensors.
+
+        Parameters
+        ----------
+        edges
+            Where later graphs come from: ``"decoder"``, the model itself; ``"rule"``, the rule that
+            made the graphs of the tracks, from the predicted states. A state-space model has no
+            edges but those of its states: for it the two are one.
+
+        Raises
+        ------
+        InputError
+            If ``edges`` is unknown, or the rule.
+        """
+        if edges not in EDGE_SOURCES:
+            raise InputError(
+                f"edges: {edges!r} is unknown; choose one of {', '.join(EDGE_SOURCES)}."
+            )
+        scaler, rule = self.preparation.scaler, self.preparation.rule
+        if isinstance(self.model, StateSpaceModel):
+            window = self.settings.window
+            window = min(window, HISTORY) if isinstance(window, int) else HISTORY
+            return StateSpacePredictor(self.model, self.guide, scaler, rule, window)
+        if isinstance(self.model, OneStepModel) and isinstance(self.guide, OneStepGuide):
+            return OneStepPredictor(self.model, self.guide, scaler, rule, edges)
+        raise InputError(
+            f"model: {self.settings.model} with guide {self.settings.guide} cannot predict; it must "
+            "be a StateSpaceModel, or a OneStepModel with a OneStepGuide."
         )
 
     def forecast(
@@ -184,14 +263,14 @@ class Fit(Run):
         seed
             Seed or generator.
         edges
-            Where later graphs come from, see :class:`Stepper`.
+            Where later graphs come from, see :meth:`predictor`.
 
         Returns
         -------
         Dataset with ``position`` and ``velocity`` ``([draw,] trial, time, space, individual)``,
         ``edge_probability ([draw,] trial, time, individual, neighbor)``, and ``time`` going on
         from the history. Each trial is continued from its last frame with anybody in it; who is
-        just out of sight there is carried on, see :func:`swarmssm.inference.starting.start_at`, who
+        just out of sight there is carried on, see :func:`swarmssm.inference.starting.carry_on`, who
         has been so for longer stays NaN.
 
         Raises
@@ -204,8 +283,7 @@ class Fit(Run):
         _check_count("draws", draws, 0)
         prepared = self.prepare(history)
         last = last_frames(prepared.mask)
-        start = start_at(prepared, self.preparation, last)
-        path = self._run_from(start, horizon, draws, seed, edges)
+        _, path = self._run_from(prepared, last, horizon, draws, seed, edges)
         leading = ("draw",) * bool(draws)
         data = self._state_variables(path.states, leading)
         edge_dims = (*leading, "trial", "time", "individual", "neighbor")
@@ -243,7 +321,7 @@ class Fit(Run):
         seed
             Seed or generator.
         edges
-            Where the graphs come from, see :class:`Stepper`.
+            Where the graphs come from, see :meth:`predictor`.
 
         Returns
         -------
@@ -262,19 +340,20 @@ class Fit(Run):
         _check_count("steps", steps, 1)
         _check_count("draws", draws, 0)
         prepared = self.prepare(initial)
-        start = start_at(prepared, self.preparation, fullest_frames(prepared.mask))
-        path = self._run_from(start, steps, draws, seed, edges)
+        fullest = fullest_frames(prepared.mask)
+        start, path = self._run_from(prepared, fullest, steps, draws, seed, edges)
         runs = max(draws, 1)
         states = path.states.reshape(runs, *path.states.shape[-4:]).to(torch.float64)
         states = self.preparation.scaler.inverse_tensor(states)
-        first = start.unscaled.expand(runs, *start.unscaled.shape).unsqueeze(2)
+        first = start.unscaled.reshape(runs, *start.unscaled.shape[-3:]).unsqueeze(2)
         whole = torch.cat([first, states], dim=2).numpy()
         # Only who was absent from the start may be unknown: what is not a number has diverged too.
-        seen = np.broadcast_to(start.present.numpy()[None, :, None, :, None], whole.shape)
+        present = start.present.reshape(runs, *start.present.shape[-2:])[:, :, None, :, None]
+        seen = np.broadcast_to(present.numpy(), whole.shape)
         if not (np.abs(whole[seen]) <= MAX_COORDINATE).all():
             raise WorkError("rollout: the free run left all bounds; take fewer steps.")
         graph = path.adjacency.reshape(runs, *path.adjacency.shape[-4:])
-        first = start.adjacency.bool().expand(runs, -1, -1, -1).unsqueeze(2)
+        first = start.adjacency.bool().reshape(runs, *start.adjacency.shape[-3:]).unsqueeze(2)
         graph = torch.cat([first, graph], dim=2)
         flat = whole.reshape(-1, *whole.shape[2:])
         half = flat.shape[-1] // 2
@@ -304,40 +383,19 @@ class Fit(Run):
 
     def _run_from(
         self,
-        start: Start,
+        prepared: Prepared,
+        rows: torch.Tensor,
         steps: int,
         draws: int,
         seed: int | torch.Generator,
         edges: str,
-    ) -> Trajectory:
-        """Run from a start."""
-        shape = (draws,) * bool(draws)
-        states, adjacency, present = (
-            value.expand(*shape, *value.shape)
-            for value in (start.states, start.adjacency, start.present)
-        )
+    ) -> tuple[Beginning, Trajectory]:
+        """Run from one row of each trial."""
+        predictor = self.predictor(edges)
+        trials = torch.arange(len(rows))
         with seeded(seed):
-            return self.stepper(edges).run(states, adjacency, present, steps, sample=bool(draws))
-
-    def _by_chunks(
-        self,
-        prepared: Prepared,
-        function: Callable[[torch.Tensor, torch.Tensor], tuple[torch.Tensor, ...]],
-    ) -> tuple[torch.Tensor, ...]:
-        """Apply a function of frames to all frames, a bounded number at once."""
-        observations = prepared.observations.flatten(0, 1)
-        adjacency = prepared.adjacency.flatten(0, 1)
-        size = max(1, CHUNK // max(1, adjacency.shape[-1] ** 2))
-        with torch.no_grad():
-            pieces = [
-                function(x, a.to(torch.float32))
-                for x, a in zip(
-                    torch.split(observations, size), torch.split(adjacency, size), strict=True
-                )
-            ]
-        shape = prepared.mask.shape[:2]
-        columns = zip(*pieces, strict=True)
-        return tuple(torch.unflatten(torch.cat(column), 0, shape) for column in columns)
+            beginning = predictor.begin(prepared, trials, rows, draws, carry=True)
+            return beginning, predictor.run(beginning, steps, sample=bool(draws))
 
     def _state_variables(self, states: torch.Tensor, leading: tuple[str, ...]) -> dict[str, Any]:
         """Return positions and velocities in the tracks' units, in the order of their schema."""

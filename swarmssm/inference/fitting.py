@@ -15,12 +15,16 @@ import xarray as xr
 
 from swarmssm import metrics
 from swarmssm.errors import InputError, WorkError
+from swarmssm.graphs.representation import represent
+from swarmssm.inference.agreement import check_agreement
 from swarmssm.inference.checkpoints import Checkpoint, read_checkpoint
+from swarmssm.inference.collapsed_fit import fit_collapsed
 from swarmssm.inference.data import Prepared, preparation_for, prepare, windows_of
 from swarmssm.inference.fitted import Fit
-from swarmssm.inference.guides import SwarmGuide
+from swarmssm.inference.guides import LinearizedGuide, OneStepGuide, SwarmGuide
 from swarmssm.inference.run_folder import (
     CHECKPOINT,
+    Builders,
     Run,
     build_modules,
     check_run_output,
@@ -30,10 +34,17 @@ from swarmssm.inference.run_folder import (
     replace_folder,
     write_config,
 )
-from swarmssm.inference.settings import settings_from
-from swarmssm.inference.training import Progress, TrainingData, quiet_pyro, train
-from swarmssm.models import SwarmBatch, SwarmModel
-from swarmssm.splits import split, take
+from swarmssm.inference.settings import FitSettings, settings_from
+from swarmssm.inference.training import Progress, TrainingData, batch_size, quiet_pyro, train
+from swarmssm.models import (
+    OneStepModel,
+    Scales,
+    StateSpaceModel,
+    SwarmBatch,
+    SwarmModel,
+    scales_of,
+)
+from swarmssm.splits import Split, split, take
 from swarmssm.tracks import validate_tracks
 
 __all__ = ["fit"]
@@ -43,8 +54,8 @@ FREE_ON_RESUME = {"device", "checkpoint_every"}
 
 
 def fit(
-    model: str = "graph-vae",
-    guide: str = "encoder",
+    model: str | Callable[..., Any] = "graph-vae",
+    guide: str | Callable[..., Any] = "auto",
     tracks: xr.Dataset | None = None,
     *,
     source: str | Path = "",
@@ -63,8 +74,10 @@ def fit(
     Parameters
     ----------
     model, guide
-        Registered names (:data:`swarmssm.models.MODELS`, :data:`swarmssm.inference.GUIDES`) or
-        ``module:attribute``.
+        Registered names (:data:`swarmssm.models.MODELS`, :data:`swarmssm.inference.GUIDES`),
+        ``module:attribute``, or the constructors themselves: a callable from
+        :class:`swarmssm.models.Scales` and options to a model, and one from the model and options
+        to a guide. The guide ``"auto"`` is the model's usual one.
     tracks
         Tracks.
     source
@@ -97,54 +110,55 @@ def fit(
     if tracks is None:
         raise InputError("tracks: none are given.")
     tracks = validate_tracks(tracks)
-    wanted = settings_from({"model": model, "guide": guide, **settings})
+    builders = Builders(*(None if isinstance(part, str) else part for part in (model, guide)))
+    names = {"model": _name(model), "guide": _name(guide)}
+    wanted = settings_from({**names, **settings})
     device = _device(wanted.device)
     folder = None if out is None else Path(out)
     if folder is not None:
         check_run_output(folder, overwrite=overwrite or resume)
         folder = real_folder(folder)
     parts = split(tracks, wanted.split_by, wanted.fractions, wanted.gap)
-    preparation, training = preparation_for(
-        take(tracks, parts.train),
-        scaler=wanted.scaler,
-        graph=wanted.graph,
-        velocity=wanted.velocity,
-    )
-    prepared = prepare(training, preparation)
-    windows = windows_of(prepared, wanted.window)
-    validation = None
-    if parts.validation:
-        watched = prepare(take(tracks, parts.validation), preparation)
-        validation = _validation_windows(watched, wanted.window)
+    training = take(tracks, parts.train)
+    scales = scales_of(training)
     with torch.random.fork_rng():
         torch.manual_seed(wanted.seed)
-        modules = build_modules(wanted, len(preparation.scaler.offset))
-        for module in modules:
+        wanted, own_model, own_guide = build_modules(wanted, scales, builders)
+        run = _prepared_run(own_model, own_guide, wanted, training, scales, parts)
+        windows, validation = _windows(run, tracks)
+        for module in (run.model, run.guide):
             module.to(device)
-        run = Run(*modules, wanted, preparation, parts, pd.DataFrame())
-        digest = _digest(run, tracks)
-        working, start = _working_folder(folder, resume, overwrite, digest, run)
         data = TrainingData(
             windows.to(device),
             None if validation is None else validation.to(device),
-            _TrainingScores(prepared, *modules),
+            _centre(scales),
+            _scores(run, training),
         )
+        is_collapsed = isinstance(run.guide, LinearizedGuide)
         with quiet_pyro():
-            try:
-                history = train(
-                    *modules,
-                    data,
-                    wanted,
-                    start=start,
-                    checkpoint_folder=None if working is None else working / CHECKPOINT,
-                    digest=digest,
-                    callbacks=callbacks,
-                )
-            except WorkError:
-                if working is not None and not any((working / CHECKPOINT).iterdir()):
-                    shutil.rmtree(working)
-                raise
-    for module in modules:
+            check_agreement(run.model, run.guide, data.train, scored=not is_collapsed)
+        digest = _digest(run, tracks)
+        working, start = _working_folder(folder, resume, overwrite, digest, run)
+        try:
+            if is_collapsed:
+                history = _sum_out(run, data, callbacks)
+            else:
+                with quiet_pyro():
+                    history = train(
+                        run.model,
+                        run.guide,
+                        data,
+                        wanted,
+                        start=start,
+                        checkpoint_folder=None if working is None else working / CHECKPOINT,
+                        digest=digest,
+                        callbacks=callbacks,
+                    )
+        except WorkError:
+            if working is not None and not any((working / CHECKPOINT).iterdir()):
+                shutil.rmtree(working)
+            raise
+    for module in (run.model, run.guide):
         module.to("cpu").eval()
     facts = {
         "file": str(Path(source).resolve()) if source else "",
@@ -182,15 +196,108 @@ def _digest(run: Run, tracks: xr.Dataset) -> str:
     return json.dumps(facts, sort_keys=True)
 
 
-def _validation_windows(prepared: Prepared, window: int | None) -> SwarmBatch:
-    """Cut the validation part into windows, and say of which part it is if that fails."""
+def _name(part: Any) -> Any:
+    """Return the name by which a run folder can find a part again; what is no part, as it is."""
+    if not callable(part):
+        return part
+    return f"{part.__module__}:{getattr(part, '__qualname__', type(part).__qualname__)}"
+
+
+def _prepared_run(
+    model: SwarmModel,
+    guide: SwarmGuide,
+    settings: FitSettings,
+    training: xr.Dataset,
+    scales: Scales,
+    parts: Split,
+) -> Run:
+    """Decide how tracks are prepared; return a run that is not trained yet."""
+    if isinstance(model, StateSpaceModel) and settings.scaler not in ("auto", "none"):
+        raise InputError(
+            f"scaler: {settings.model} is a state-space model and works in the tracks' own units; "
+            "leave the scaler out, or choose none."
+        )
+    if settings.symmetry != "none" and not isinstance(model, StateSpaceModel):
+        raise InputError(
+            f"symmetry: {settings.model} works on scaled axes, which a mirror does not keep; it is "
+            "for state-space models."
+        )
+    preparation, _ = preparation_for(
+        training,
+        scaler=model.scaler if settings.scaler == "auto" else settings.scaler,
+        graph=settings.graph,
+        velocity=settings.velocity,
+        observes=model.observes,
+    )
+    return Run(model, guide, settings, scales, preparation, parts, pd.DataFrame())
+
+
+def _windows(run: Run, tracks: xr.Dataset) -> tuple[SwarmBatch, SwarmBatch | None]:
+    """Cut the training part and the validation part, if there is one, into windows."""
+    model, window = run.model, run.settings.window
+    assert window != "auto", "build_modules has asked the guide"
+    share = not isinstance(model, StateSpaceModel) or model.emission is None
+    prepared = prepare(take(tracks, run.split.train), run.preparation)
+    windows = _represented(windows_of(prepared, window, share_border=share), model)
+    if not run.split.validation:
+        return windows, None
+    watched = prepare(take(tracks, run.split.validation), run.preparation)
     try:
-        return windows_of(prepared, window)
+        return windows, _represented(windows_of(watched, window, share_border=share), model)
     except InputError as error:
         raise InputError(
             "fractions: in the validation part nobody is seen in two consecutive frames, so that "
             "it can score nothing. Give it a larger share, or none."
         ) from error
+
+
+def _represented(windows: SwarmBatch, model: SwarmModel) -> SwarmBatch:
+    """Keep the graph of a large swarm as a list of edges."""
+    if not isinstance(model, StateSpaceModel):
+        return windows
+    return replace(windows, adjacency=represent(windows.adjacency))
+
+
+def _centre(scales: Scales) -> tuple[float, ...]:
+    """Return the middle of the arena."""
+    return tuple(0.5 * (low + high) for low, high in zip(scales.low, scales.high, strict=True))
+
+
+def _sum_out(
+    run: Run, data: TrainingData, callbacks: Sequence[Callable[[Progress], None]]
+) -> list[dict[str, float]]:
+    """Fit the parameters with the latent states summed out; return the history.
+
+    It takes a fraction of the time of a network and has no checkpoints: a fit that was interrupted
+    begins anew, and ends where it would have.
+    """
+    assert isinstance(run.model, StateSpaceModel)
+    assert isinstance(run.guide, LinearizedGuide)
+    settings = run.settings
+    size = batch_size(settings, len(data.train))
+
+    def tell(step: int, total: int | None, loss: float) -> None:
+        for callback in callbacks:
+            callback(Progress(step, total, step, loss))
+
+    return fit_collapsed(
+        run.model,
+        run.guide,
+        data.train,
+        validation=data.validation,
+        steps=settings.steps or settings.epochs or run.model.default_epochs,
+        batch_windows=size,
+        lr=settings.lr,
+        seed=settings.seed,
+        callback=tell,
+    )
+
+
+def _scores(run: Run, training: xr.Dataset) -> Callable[[], dict[str, float]]:
+    """Return what scores predictions while a model is trained, where that is quickly told."""
+    if isinstance(run.model, OneStepModel) and isinstance(run.guide, OneStepGuide):
+        return _TrainingScores(prepare(training, run.preparation), run.model, run.guide)
+    return dict
 
 
 def _working_folder(
@@ -255,7 +362,7 @@ def _device(name: str) -> torch.device:
 class _TrainingScores:
     """One-step errors on the training part at each row of the history (figs 4.9, 4.10)."""
 
-    def __init__(self, prepared: Prepared, model: SwarmModel, guide: SwarmGuide) -> None:
+    def __init__(self, prepared: Prepared, model: OneStepModel, guide: OneStepGuide) -> None:
         self.prepared, self.model, self.guide = prepared, model, guide
         self.truth = prepared.observations.masked_fill(~prepared.mask.unsqueeze(-1), torch.nan)
 

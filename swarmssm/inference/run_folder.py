@@ -15,7 +15,7 @@ import json
 import platform
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -33,14 +33,15 @@ from swarmssm.files import file_digest, write_beside
 from swarmssm.graphs import GraphRule
 from swarmssm.inference.checkpoints import read_tensors, write_tensors
 from swarmssm.inference.data import Preparation
-from swarmssm.inference.guides import GUIDES, SwarmGuide, find_guide
+from swarmssm.inference.guides import GUIDES, SwarmGuide, find_guide, usual_guide
 from swarmssm.inference.settings import FitSettings, settings_from
-from swarmssm.models import MODELS, SwarmModel, find_model
+from swarmssm.models import MODELS, Scales, SwarmModel, find_model
 from swarmssm.scaling import Scaler
 from swarmssm.splits import Split
 
 __all__ = [
     "CHECKPOINT",
+    "Builders",
     "Run",
     "build_modules",
     "check_run_output",
@@ -67,6 +68,8 @@ class Run:
         Fitted modules.
     settings
         What they were fitted with.
+    scales
+        Typical sizes in the training part, with which the model was built.
     preparation
         Scaler, velocities and graph, as decided on the training part.
     split
@@ -81,36 +84,75 @@ class Run:
     model: SwarmModel
     guide: SwarmGuide
     settings: FitSettings
+    scales: Scales
     preparation: Preparation
     split: Split
     history: pd.DataFrame
     provenance: dict[str, Any] = field(default_factory=dict)
 
 
-def build_modules(settings: FitSettings, state_dim: int) -> tuple[SwarmModel, SwarmGuide]:
-    """Build model and guide as the settings name them.
+@dataclass(frozen=True)
+class Builders:
+    """Constructors of model and guide that were given as such, in place of those named.
+
+    Attributes
+    ----------
+    model, guide
+        Callables; absent, the settings' names are looked up.
+    """
+
+    model: Callable[..., Any] | None = None
+    guide: Callable[..., Any] | None = None
+
+
+def build_modules(
+    settings: FitSettings, scales: Scales, builders: Builders | None = None
+) -> tuple[FitSettings, SwarmModel, SwarmGuide]:
+    """Build model and guide as the settings name them; return the settings with no "auto" in them.
+
+    A model is built by a callable that takes scales and options, or by a class with a method
+    ``for_scales`` of these; a guide likewise from the model (``for_model``).
 
     Raises
     ------
     InputError
         If a name is unknown or an option does not fit its constructor.
     """
+    builders = Builders() if builders is None else builders
     # Parameters that stay in their module, instead of Pyro's global store, have to be so from
     # the module's construction on.
     with pyro.settings.context(module_local_params=True):
-        builder: Any = find_model(settings.model)
-        model = _build(builder, "model", settings.model, state_dim, settings.model_options)
-        builder = find_guide(settings.guide)
+        builder: Any = builders.model or find_model(settings.model)
+        builder = getattr(builder, "for_scales", builder)
+        model = _build(builder, "model", settings.model, scales, settings.model_options)
+        if not isinstance(model, SwarmModel):
+            raise InputError(
+                f"model: {settings.model} built a {type(model).__name__}, which is no SwarmModel. "
+                "Derive it from OneStepModel, StateSpaceModel or SwarmModel of swarmssm.models."
+            )
+        # The type of the windows, whatever torch's default type is.
+        model = model.to(torch.float32)
+        if settings.priors:
+            from swarmssm.models.priors import with_priors
+
+            model = with_priors(model, settings.priors)
+        if settings.guide == "auto":
+            settings = settings.model_copy(update={"guide": usual_guide(settings.model, model)})
+        builder = builders.guide or find_guide(settings.guide)
         builder = getattr(builder, "for_model", builder)
         guide = _build(builder, "guide", settings.guide, model, settings.guide_options)
-    # The type of the windows, whatever torch's default type is.
-    return model.to(torch.float32), guide.to(torch.float32)
+    if settings.window == "auto":
+        window = getattr(guide, "window", SwarmGuide.window)
+        settings = settings.model_copy(update={"window": window})
+    return settings, model, guide.to(torch.float32)
 
 
 def _build(builder: Any, what: str, name: str, first: Any, options: Mapping[str, Any]) -> Any:
     """Call a constructor, and say in one sentence if its options are wrong."""
     try:
         built = builder(first, **options)
+    except InputError:
+        raise
     except Exception as error:  # the constructor may be the user's own
         reason = str(error).rstrip(".") or type(error).__name__
         raise InputError(
@@ -234,7 +276,9 @@ def write_config(run: Run, folder: Path) -> None:
             "velocity": preparation.velocity,
             "rule": None if preparation.rule is None else preparation.rule.to_dict(),
             "own_graph": preparation.own_graph,
+            "observes": preparation.observes,
         },
+        "scales": run.scales.to_dict(),
         "split": run.split.to_dict(),
     }
     _write_json(folder / CONFIG, config)
@@ -300,6 +344,8 @@ def load_run(folder: Path, *, trust_code: bool = False) -> Run:
             )
     try:
         preparation = _preparation(_table(config, "preparation", folder))
+        scales = Scales.from_dict(_table(config, "scales", folder))
+        _check_preparation(preparation, scales, folder)
         split = Split.from_dict(_table(config, "split", folder))
         # By way of text: pandas' own reading of numbers may miss the last digit.
         history = pd.read_csv(folder / HISTORY, dtype=str).astype(numpy.float64)
@@ -308,7 +354,7 @@ def load_run(folder: Path, *, trust_code: bool = False) -> Run:
             f"{folder}: {CONFIG} or {HISTORY} cannot be understood ({error})."
         ) from error
     try:
-        model, guide = build_modules(settings, len(preparation.scaler.offset))
+        settings, model, guide = build_modules(settings, scales)
     except InputError as error:
         raise InputError(f"{folder / CONFIG}: {error}") from error
     weights, _ = read_tensors(folder / WEIGHTS)
@@ -322,7 +368,7 @@ def load_run(folder: Path, *, trust_code: bool = False) -> Run:
                 f"{folder / WEIGHTS}: the weights do not fit the {part} {getattr(settings, part)}."
             ) from error
         module.eval()
-    return Run(model, guide, settings, preparation, split, history, provenance)
+    return Run(model, guide, settings, scales, preparation, split, history, provenance)
 
 
 def _preparation(values: dict[str, Any]) -> Preparation:
@@ -335,7 +381,20 @@ def _preparation(values: dict[str, Any]) -> Preparation:
         str(values["velocity"]),
         None if rule is None else GraphRule.from_dict(rule),
         bool(values["own_graph"]),
+        str(values["observes"]),
     )
+
+
+def _check_preparation(preparation: Preparation, scales: Scales, folder: Path) -> None:
+    """Refuse a preparation that could not have been decided on tracks of these scales."""
+    features = len(preparation.scaler.offset)
+    if features != scales.state_dim:
+        raise InputError(
+            f"{folder / CONFIG}: the scaler has {features} features, and the states of the tracks "
+            f"have {scales.state_dim}. Fit again, or copy the file back."
+        )
+    if preparation.observes not in ("positions", "states"):
+        raise ValueError(f"observes is {preparation.observes!r}")
 
 
 def _table(config: dict[str, Any], name: str, folder: Path) -> dict[str, Any]:

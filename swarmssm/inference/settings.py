@@ -23,6 +23,8 @@ def _plain(value: Any) -> Any:
     return value
 
 
+#: Settings that are tables themselves.
+NESTED = ("model_options", "guide_options", "priors")
 Options = dict[str, Annotated[pydantic.JsonValue, pydantic.BeforeValidator(_plain)]]
 
 
@@ -32,17 +34,21 @@ class FitSettings(pydantic.BaseModel):
     Attributes
     ----------
     model, guide
-        Registered name or ``module:attribute``.
+        Registered name or ``module:attribute``. The guide ``"auto"`` is the model's usual one.
     model_options, guide_options
         Named arguments of their constructors: values that JSON can hold.
+    priors
+        Priors in place of the model's own: name of a parameter -> text such as
+        ``"LogNormal(-1, 0.5)"``, see :func:`swarmssm.models.priors.with_priors`.
     epochs
         Passes over all training windows; absent, those of the model (300 for the thesis's).
     steps
         Steps of the optimiser; given, it takes the place of ``epochs``. The last pass over the
         windows may then be partial.
     window
-        Frames in a window; ``None``, whole trials. Consecutive windows share one frame, so that
-        each step of the recording is in one window.
+        Frames in a window; ``None``, whole trials; ``"auto"``, as many as the guide likes. Each
+        step of the recording is in one window; for a state-space model with noisy observations
+        each frame is.
     batch_windows
         Windows in a mini-batch; ``None``, all of them; ``"auto"``, a tenth, so that a pass
         over few data takes about as many steps of the optimiser as one over many.
@@ -50,6 +56,17 @@ class FitSettings(pydantic.BaseModel):
         Learning rate of Adam.
     schedule
         ``"cosine"``: falls to zero at the last step; or ``"constant"``.
+    anneal
+        Steps in which the weight of the latent sites in the ELBO rises from 0 to 1; absent, it is
+        1 throughout.
+    draws
+        Draws of the latent states for each step: with more than one, the importance weighted bound
+        is maximised, which is tighter than the ELBO.
+    symmetry
+        ``"none"``; or at each step every window is mirrored at random (``"mirror"``), or its axes
+        are exchanged too (``"square"``), about the middle of the arena: for laws of motion that
+        are the same in the mirror, of which a network then needs fewer data. State-space models
+        alone.
     clip
         Largest norm of the gradient of the loss per observed coordinate; absent, unbounded.
     seed
@@ -57,7 +74,7 @@ class FitSettings(pydantic.BaseModel):
     device
         ``"cpu"``, ``"cuda"``, or ``"auto"``.
     scaler
-        See :func:`swarmssm.scaling.fit_scaler`.
+        See :func:`swarmssm.scaling.fit_scaler`; ``"auto"``, as the model likes.
     graph
         ``"auto"``: that of the tracks, else :func:`swarmssm.graphs.default_rule`; ``"data"``: that
         of the tracks; else a rule as :meth:`swarmssm.graphs.GraphRule.parse` reads it, which
@@ -80,18 +97,22 @@ class FitSettings(pydantic.BaseModel):
 
     model: str = "graph-vae"
     model_options: Options = {}
-    guide: str = "encoder"
+    guide: str = "auto"
     guide_options: Options = {}
+    priors: dict[str, str] = {}
     epochs: pydantic.PositiveInt | None = None
     steps: pydantic.PositiveInt | None = None
-    window: int | None = pydantic.Field(20, ge=2)
+    window: Annotated[int, pydantic.Field(ge=2)] | Literal["auto"] | None = "auto"
     batch_windows: pydantic.PositiveInt | Literal["auto"] | None = "auto"
     lr: pydantic.PositiveFloat = pydantic.Field(0.005, allow_inf_nan=False)
     schedule: Literal["constant", "cosine"] = "cosine"
+    anneal: pydantic.PositiveInt | None = None
+    symmetry: Literal["none", "mirror", "square"] = "none"
+    draws: pydantic.PositiveInt = 1
     clip: pydantic.PositiveFloat | None = 1.0
     seed: int = pydantic.Field(0, ge=0, lt=2**63)
     device: str = "cpu"
-    scaler: Literal["minmax", "isotropic", "none"] = "minmax"
+    scaler: Literal["auto", "minmax", "isotropic", "none"] = "auto"
     graph: str = "auto"
     velocity: Literal["auto", "difference", "kalman"] = "auto"
     split_by: Literal["auto", "time", "trial"] = "auto"
@@ -128,9 +149,14 @@ def settings_from(values: Mapping[str, Any], where: str = "") -> FitSettings:
     try:
         return FitSettings(**values)
     except pydantic.ValidationError as error:
-        first = error.errors()[0]
-        name = ".".join(str(part) for part in first["loc"])
+        first, *rest = error.errors()
+        # Of a value of several types there is an error for each, with the type behind the name.
+        place = first["loc"] if first["loc"][0] in NESTED else first["loc"][:1]
+        name = ".".join(str(part) for part in place)
         reason = str(first["msg"]).removeprefix("Value error, ")
+        if name not in NESTED:
+            others = [str(one["msg"]) for one in rest if one["loc"][0] == name]
+            reason = ", or ".join([reason, *(m.removeprefix("Input should be ") for m in others)])
         if first["type"] == "extra_forbidden":
             reason = f"there is no such setting; choose among {', '.join(FitSettings.model_fields)}"
         shown = "" if "graph:" in reason else f" (given: {first['input']!r})"

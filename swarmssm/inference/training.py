@@ -11,13 +11,15 @@ from pathlib import Path
 
 import pyro
 import torch
-from pyro.infer import Trace_ELBO
 
 from swarmssm.errors import InputError, WorkError
+from swarmssm.inference.agreement import evaluating
+from swarmssm.inference.bounds import Bound, annealing
 from swarmssm.inference.checkpoints import Checkpoint, write_checkpoint
 from swarmssm.inference.guides import SwarmGuide
 from swarmssm.inference.settings import FitSettings
-from swarmssm.models import SwarmBatch, SwarmModel
+from swarmssm.models import StateSpaceModel, SwarmBatch, SwarmModel
+from swarmssm.models.reflections import reflected
 
 __all__ = ["Progress", "TrainingData", "num_epochs", "quiet_pyro", "train"]
 
@@ -35,7 +37,7 @@ class Progress:
     Attributes
     ----------
     epoch, num_epochs, step
-        Counted from 1.
+        Counted from 1; ``num_epochs`` is ``None`` where nobody knows how many it takes.
     loss
         Negative ELBO per observed coordinate, in nats, averaged over the epoch's mini-batches.
     row
@@ -43,7 +45,7 @@ class Progress:
     """
 
     epoch: int
-    num_epochs: int
+    num_epochs: int | None
     step: int
     loss: float
     row: dict[str, float] | None = None
@@ -57,29 +59,22 @@ class TrainingData:
     ----------
     train, validation
         All windows of each part; there may be none to validate on.
+    centre
+        Middle of the arena, about which windows are mirrored.
     scores
         Called at each row of the history; returns named numbers to store beside the losses.
     """
 
     train: SwarmBatch
     validation: SwarmBatch | None
+    centre: tuple[float, ...] = ()
     scores: Callable[[], dict[str, float]] = field(default=dict)
 
 
-class _Elbo:
-    """Negative ELBO per observed coordinate, of a batch scaled to its whole population."""
-
-    def __init__(self, model: SwarmModel, guide: SwarmGuide) -> None:
-        self.module = Trace_ELBO()(model, guide)
-        self.parameters = list(self.module.parameters())
-
-    def __call__(self, batch: SwarmBatch, coordinates: int) -> torch.Tensor:
-        loss: torch.Tensor = self.module(batch) / coordinates
-        return loss
-
-
-def num_coordinates(windows: SwarmBatch) -> int:
-    """Return how many state coordinates of the windows are scored."""
+def num_coordinates(windows: SwarmBatch, model: SwarmModel) -> int:
+    """Return how many observed coordinates of the windows are scored."""
+    if isinstance(model, StateSpaceModel) and model.emission is not None:
+        return int(windows.mask.sum()) * windows.observations.shape[-1]
     both_ends = windows.mask[:, 1:] & windows.mask[:, :-1]
     return int(both_ends.sum()) * windows.observations.shape[-1]
 
@@ -206,13 +201,15 @@ class _Run:
     ) -> None:
         self.data, self.settings, self.digest = data, settings, digest
         self.modules: dict[str, torch.nn.Module] = {"model": model, "guide": guide}
-        self.elbo = _Elbo(model, guide)
-        self.optimizer = torch.optim.Adam(self.elbo.parameters, lr=settings.lr, fused=True)
+        self.bound = Bound(model, guide, settings.draws)
+        self.parameters = list(self.bound.parameters())
+        self.optimizer = torch.optim.Adam(self.parameters, lr=settings.lr, fused=True)
         self.steps_per_epoch = steps_per_epoch(settings, len(data.train))
         self.num_epochs = num_epochs(settings, model, len(data.train))
         self.num_steps = settings.steps or self.num_epochs * self.steps_per_epoch
         self.record_every = settings.validate_every or math.ceil(self.num_epochs / HISTORY_ROWS)
-        self.coordinates = num_coordinates(data.train)
+        self.model = model
+        self.coordinates = num_coordinates(data.train, model)
         self.epoch = self.step = 0
         self.seconds = 0.0
         self.first_loss = math.nan
@@ -272,17 +269,21 @@ class _Run:
             for group in self.optimizer.param_groups:
                 group["lr"] = self.settings.lr * 0.5 * (1.0 + math.cos(math.pi * done))
         self.optimizer.zero_grad(set_to_none=True)
-        loss = self.elbo(batch, self.coordinates)
+        if self.settings.symmetry != "none":
+            square = self.settings.symmetry == "square"
+            batch = reflected(batch, self.data.centre, swap_axes=square)
+        weight = annealing(self.step, self.settings.anneal or 0)
+        loss = self.bound(batch, weight) / self.coordinates
         loss.backward()  # type: ignore[no-untyped-call]
         clip = math.inf if self.settings.clip is None else self.settings.clip
-        norm = torch.nn.utils.clip_grad_norm_(self.elbo.parameters, clip)
+        norm = torch.nn.utils.clip_grad_norm_(self.parameters, clip)
         self.optimizer.step()
         self.step += 1
         return torch.stack([loss.detach(), norm.detach()])
 
     def check_weights(self) -> None:
         """Refuse weights that the last step has spoilt, which no loss has seen yet."""
-        if not all(weight.isfinite().all() for weight in self.elbo.parameters):
+        if not all(weight.isfinite().all() for weight in self.parameters):
             self._give_up(self.step, "a weight is no longer finite")
 
     def _give_up(self, step: int, what: str) -> None:
@@ -298,7 +299,7 @@ class _Run:
         """Add a row to the history and remember the best weights."""
         began = time.perf_counter()
         row = {"epoch": float(self.epoch), "step": float(self.step), "loss": loss}
-        with self._evaluating():
+        with evaluating(*self.modules.values()):
             row["validation_loss"] = self._validate()
             row["gradient_norm"] = self.gradient_norm
             row.update(self.data.scores())
@@ -319,19 +320,7 @@ class _Run:
             return math.nan
         with torch.random.fork_rng(), torch.no_grad():
             torch.manual_seed(self.settings.seed)
-            return float(self.elbo(windows, num_coordinates(windows)))
-
-    @contextlib.contextmanager
-    def _evaluating(self) -> Iterator[None]:
-        """Keep what watches a network from changing it, as layers of normalisation would be."""
-        modes = [(part, part.training) for top in self.modules.values() for part in top.modules()]
-        for top in self.modules.values():
-            top.eval()
-        try:
-            yield
-        finally:
-            for part, mode in modes:
-                part.training = mode
+            return float(self.bound(windows) / num_coordinates(windows, self.model))
 
     def keep_best(self) -> None:
         """Give the modules the weights with the best validation loss, if there were any."""

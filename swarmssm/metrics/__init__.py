@@ -1,6 +1,7 @@
 """Scores of predictions, of groups and of graphs, as numpy arrays with NaN for the unknown.
 
 - :mod:`swarmssm.metrics.prediction`: errors of predicted states, equations (4.1) to (4.3).
+- :mod:`swarmssm.metrics.log_score`: how probable a normal forecast made what came.
 - :mod:`swarmssm.metrics.collective`: cohesion, alignment and order of a group, (4.4) and (4.5).
 - :mod:`swarmssm.metrics.edges`: a predicted interaction graph against the true one.
 """
@@ -14,6 +15,7 @@ from swarmssm.metrics.collective import (
     speeds,
 )
 from swarmssm.metrics.edges import edge_accuracy, edge_auc, edge_precision, edge_recall
+from swarmssm.metrics.log_score import gaussian_log_score, moments_of_draws
 from swarmssm.metrics.prediction import HorizonErrors, horizon_errors, mae, mse, step_length
 
 __all__ = [
@@ -24,8 +26,10 @@ __all__ = [
     "edge_auc",
     "edge_precision",
     "edge_recall",
+    "gaussian_log_score",
     "horizon_errors",
     "mae",
+    "moments_of_draws",
     "mse",
     "nearest_neighbor_distance",
     "polarization",

@@ -1,18 +1,56 @@
 """Generative models of swarms: distributions, layers, priors."""
 
-from swarmssm.models.base import NextStep, SwarmModel
+from swarmssm.models.base import NextStep, OneStepModel, SwarmModel
 from swarmssm.models.batch import SwarmBatch
+from swarmssm.models.edges import Edges, LatentEdges, ObservedEdges
+from swarmssm.models.emissions import (
+    Emission,
+    NeuralEmission,
+    NoisyEmission,
+    PositionEmission,
+    StateEmission,
+)
 from swarmssm.models.graph_vae import GraphVAE
+from swarmssm.models.initial import InitialStates
+from swarmssm.models.kinematic import Kinematic
 from swarmssm.models.markov import MarkovChain, StepInputs
+from swarmssm.models.parameters import assign
+from swarmssm.models.priors import parameters_of, parse_distribution, with_priors
 from swarmssm.models.registry import MODELS, find_model
+from swarmssm.models.scales import Scales, scales_of
+from swarmssm.models.simulation import Simulation
+from swarmssm.models.state_space import StateSpaceModel
+from swarmssm.models.transitions import KinematicTransition, LinearTransition, Transition
 
 __all__ = [
     "MODELS",
+    "Edges",
+    "Emission",
     "GraphVAE",
+    "InitialStates",
+    "Kinematic",
+    "KinematicTransition",
+    "LatentEdges",
+    "LinearTransition",
     "MarkovChain",
+    "NeuralEmission",
     "NextStep",
+    "NoisyEmission",
+    "ObservedEdges",
+    "OneStepModel",
+    "PositionEmission",
+    "Scales",
+    "Simulation",
+    "StateEmission",
+    "StateSpaceModel",
     "StepInputs",
     "SwarmBatch",
     "SwarmModel",
+    "Transition",
+    "assign",
     "find_model",
+    "parameters_of",
+    "parse_distribution",
+    "scales_of",
+    "with_priors",
 ]

@@ -1,6 +1,6 @@
 """What every generative model of a swarm offers."""
 
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import pyro.distributions as dist
 import torch
@@ -8,7 +8,44 @@ from pyro.nn import PyroModule
 
 from swarmssm.models.batch import SwarmBatch
 
-__all__ = ["NextStep", "SwarmModel"]
+__all__ = ["NextStep", "OneStepModel", "SwarmModel"]
+
+
+class SwarmModel(PyroModule):  # type: ignore[misc]
+    """A Pyro model of windows of a swarm.
+
+    A subclass writes :meth:`forward`, a Pyro model with the latent site ``"states"``. It is built
+    by a callable that takes :class:`swarmssm.models.Scales` and named options with plain values,
+    so that a run folder can build it again: a function, or a class with a ``for_scales`` method.
+    """
+
+    default_epochs: ClassVar[int] = 300
+    #: How tracks are scaled for it unless the user says otherwise (:mod:`swarmssm.scaling`).
+    scaler: ClassVar[str] = "minmax"
+
+    def __init__(self, state_dim: int) -> None:
+        super().__init__()
+        self.state_dim = state_dim
+        # Parameters may live in the modules, as in `fit`, or in Pyro's store: a module that was
+        # built under the one setting must not fail under the other.
+        if not hasattr(self._pyro_context, "param_state"):
+            self._pyro_context.param_state = {"params": {}, "constraints": {}}
+
+    @property
+    def observes(self) -> str:
+        """Which features of the tracks it is given: ``"positions"`` or ``"states"``."""
+        return "states"
+
+    def augmented(self, batch: SwarmBatch) -> SwarmBatch:
+        """Return the windows as training should see them this time: themselves, or an image.
+
+        A model that looks the same in a mirror learns from mirrored windows as well.
+        """
+        return batch
+
+    def forward(self, batch: SwarmBatch) -> torch.Tensor | None:
+        """Score a batch of windows; to be run under a Pyro handler."""
+        raise TypeError(f"{type(self).__name__} must define forward(batch)")
 
 
 class NextStep(NamedTuple):
@@ -27,26 +64,11 @@ class NextStep(NamedTuple):
     edge_logits: torch.Tensor
 
 
-class SwarmModel(PyroModule):  # type: ignore[misc]
-    """A Pyro model of windows of a swarm.
+class OneStepModel(SwarmModel):
+    """A model whose latent states say the next step each for itself, with no dynamics of their own.
 
-    A subclass writes :meth:`forward`, a Pyro model with the latent site ``"states"``, and
-    :meth:`decode`, which says what one step of the latent path means for the next observation.
-    Its constructor takes ``state_dim``, the number of features of an observed state, and named
-    options with plain values, which it stores in :attr:`options` so that a run folder can build
-    it again.
+    A subclass also writes :meth:`decode`.
     """
-
-    default_epochs: ClassVar[int] = 300
-
-    def __init__(self, state_dim: int, **options: Any) -> None:
-        super().__init__()
-        self.state_dim = state_dim
-        self.options = options
-
-    def forward(self, batch: SwarmBatch) -> None:
-        """Score a batch of windows; to be run under a Pyro handler."""
-        raise TypeError(f"{type(self).__name__} must define forward(batch)")
 
     def decode(self, latent: torch.Tensor) -> NextStep:
         """Return the distribution of the next step.

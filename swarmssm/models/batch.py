@@ -1,10 +1,14 @@
 """What a model and a guide are given: windows of a swarm as tensors."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 
-__all__ = ["SwarmBatch"]
+from swarmssm.graphs import EdgeList, Graph
+from swarmssm.models.markov import StepInputs
+
+__all__ = ["SwarmBatch", "presence"]
 
 
 @dataclass(frozen=True)
@@ -14,27 +18,33 @@ class SwarmBatch:
     Attributes
     ----------
     observations
-        ``(batch, time, individual, state)``, scaled; 0 where not observed, never NaN.
+        ``(batch, time, individual, observation)``: states, scaled; or positions alone, if the
+        model observes no more. 0 where not observed, never NaN.
     mask
-        ``(batch, time, individual)`` of bool: this individual's whole state was observed.
+        ``(batch, time, individual)`` of bool: all of this individual's features were observed.
     adjacency
         ``(batch, time, individual, individual)`` of 0.0 and 1.0: ``[..., i, j] = 1`` when i sees
-        j. No edge to or from an individual that was not observed; diagonal 0.
-    controls
-        ``(batch, time, control)`` of exogenous inputs, or ``None``.
+        j. No edge to or from an individual that was not observed; diagonal 0. For large swarms a
+        list of the same edges, with leading shape ``(batch, time)``.
     window_weight
         ``(batch,)``: how often a window counts in the ELBO; 1 for windows that cover the
         recording once.
     population
         Number of windows of which this batch is a sample. The ELBO of a batch is scaled by
         ``population / batch``, so that the mean over batches is the ELBO of all windows.
+    present
+        ``(batch, time, individual)`` of bool: who is there, seen or not: from the first frame of
+        the window in which an individual was observed to the last one.
+    controls
+        ``(batch, time, control)`` of exogenous inputs, or ``None``.
     """
 
     observations: torch.Tensor
     mask: torch.Tensor
-    adjacency: torch.Tensor
+    adjacency: Graph
     window_weight: torch.Tensor
     population: int
+    present: torch.Tensor
     controls: torch.Tensor | None = None
 
     @classmethod
@@ -42,13 +52,13 @@ class SwarmBatch:
         cls,
         observations: torch.Tensor,
         mask: torch.Tensor,
-        adjacency: torch.Tensor,
+        adjacency: Graph,
         controls: torch.Tensor | None = None,
     ) -> "SwarmBatch":
         """Make a batch that is its own population, each window counting once."""
         batch = len(observations)
         weight = observations.new_ones(batch)
-        return cls(observations, mask, adjacency, weight, batch, controls)
+        return cls(observations, mask, adjacency, weight, batch, presence(mask), controls)
 
     def __len__(self) -> int:
         return len(self.observations)
@@ -63,26 +73,54 @@ class SwarmBatch:
         """Number of individuals, observed or not."""
         return self.observations.shape[2]
 
+    def steps(self) -> StepInputs:
+        """Return graph, controls and presence at the beginning of each of the ``T - 1`` steps."""
+        return self._steps
+
+    @cached_property
+    def _steps(self) -> StepInputs:
+        """The same, made once: model and guide both ask, and a list of edges is long."""
+        last = self.num_times - 1
+        if isinstance(self.adjacency, EdgeList):
+            adjacency: Graph = self.adjacency.select(1, 0, last)
+        else:
+            adjacency = self.adjacency[:, :-1]
+        controls = None if self.controls is None else self.controls[:, :-1]
+        return StepInputs(adjacency, controls, self.present[:, :-1])
+
     def select(self, index: torch.Tensor) -> "SwarmBatch":
         """Return the windows at ``index``, as a sample of the same population."""
-        controls = None if self.controls is None else self.controls[index]
         return replace(
             self,
             observations=self.observations[index],
             mask=self.mask[index],
             adjacency=self.adjacency[index],
             window_weight=self.window_weight[index],
-            controls=controls,
+            present=self.present[index],
+            controls=None if self.controls is None else self.controls[index],
         )
 
     def to(self, device: torch.device) -> "SwarmBatch":
         """Return the batch on another device."""
-        controls = None if self.controls is None else self.controls.to(device)
         return replace(
             self,
             observations=self.observations.to(device),
             mask=self.mask.to(device),
             adjacency=self.adjacency.to(device),
             window_weight=self.window_weight.to(device),
-            controls=controls,
+            present=self.present.to(device),
+            controls=None if self.controls is None else self.controls.to(device),
         )
+
+
+def presence(mask: torch.Tensor) -> torch.Tensor:
+    """Return who is there, from the first to the last frame in which each was observed.
+
+    Parameters
+    ----------
+    mask
+        ``(..., time, individual)`` of bool.
+    """
+    come = mask.long().cumsum(-2) > 0
+    stays = mask.long().flip(-2).cumsum(-2).flip(-2) > 0
+    return come & stays

@@ -2,15 +2,18 @@
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import pyro
 import pyro.distributions as dist
 import torch
 from torch import nn
 
-from swarmssm.models.base import NextStep, SwarmModel
+from swarmssm.graphs import dense
+from swarmssm.models.base import NextStep, OneStepModel
 from swarmssm.models.batch import SwarmBatch
 from swarmssm.models.layers import check_sizes, multilayer_perceptron
+from swarmssm.models.scales import Scales
 
 __all__ = ["GraphVAE"]
 
@@ -19,7 +22,7 @@ __all__ = ["GraphVAE"]
 INITIAL_SCALE = 0.007
 
 
-class GraphVAE(SwarmModel):
+class GraphVAE(OneStepModel):
     r"""Each individual's latent state says its next state; each pair's says their next edge.
 
     .. math::
@@ -73,7 +76,7 @@ class GraphVAE(SwarmModel):
         check_sizes(state_dim=state_dim, latent_dim=latent_dim)
         if scale is not None and not 0 < scale < math.inf:
             raise ValueError(f"scale must be a positive number or None, and it is {scale}")
-        super().__init__(state_dim, latent_dim=latent_dim, decoder_widths=widths, scale=scale)
+        super().__init__(state_dim)
         self.latent_dim = latent_dim
         self.decoder = multilayer_perceptron([latent_dim, *widths, state_dim])
         log_scale = torch.full((state_dim,), math.log(scale or INITIAL_SCALE))
@@ -81,6 +84,11 @@ class GraphVAE(SwarmModel):
             self.log_scale = nn.Parameter(log_scale)
         else:
             self.register_buffer("log_scale", log_scale)
+
+    @classmethod
+    def for_scales(cls, scales: Scales, **options: Any) -> "GraphVAE":
+        """Return a model of tracks of these scales."""
+        return cls(scales.state_dim, **options)
 
     def decode(self, latent: torch.Tensor) -> NextStep:
         """Return the next states and the log-odds of the next edges, (3.57)."""
@@ -109,4 +117,6 @@ class GraphVAE(SwarmModel):
                 obs=batch.observations[:, 1:],
             )
             edges = dist.Bernoulli(logits=following.edge_logits, validate_args=False)
-            pyro.sample("next_adjacency", edges.mask(pairs).to_event(3), obs=batch.adjacency[:, 1:])
+            pyro.sample(
+                "next_adjacency", edges.mask(pairs).to_event(3), obs=dense(batch.adjacency)[:, 1:]
+            )

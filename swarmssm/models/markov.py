@@ -1,14 +1,17 @@
 """A path of states as one random variable: drawn step by step, scored in one call."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
 from pyro.distributions import TorchDistribution
 from torch.distributions import constraints
 
-__all__ = ["MarkovChain", "StepInputs", "Transition"]
+from swarmssm.graphs import EdgeList, Graph
+from swarmssm.models.kinematic import Kinematic
+
+__all__ = ["MarkovChain", "Step", "StepInputs"]
 
 
 @dataclass(frozen=True)
@@ -18,8 +21,8 @@ class StepInputs:
     Attributes
     ----------
     adjacency
-        ``(..., step, individual, individual)``: the graph at the beginning of the step, where it
-        is observed; ``None`` where it follows from the states.
+        ``(..., step, individual, individual)``: the graph at the beginning of the step, or a list
+        of its edges with leading shape ``(..., step)``; ``None`` where there is none.
     controls
         ``(..., step, control)``: exogenous inputs, or ``None``.
     present
@@ -27,22 +30,55 @@ class StepInputs:
         all are.
     """
 
-    adjacency: torch.Tensor | None = None
+    adjacency: Graph | None = None
     controls: torch.Tensor | None = None
     present: torch.Tensor | None = None
 
     def at(self, step: int) -> "StepInputs":
         """Return the inputs of one step, without the step dimension."""
+        if isinstance(self.adjacency, EdgeList):
+            adjacency: Graph | None = self.adjacency.select(-1, step, step + 1).squeeze(-1)
+        else:
+            adjacency = None if self.adjacency is None else self.adjacency[..., step, :, :]
         return StepInputs(
-            None if self.adjacency is None else self.adjacency[..., step, :, :],
+            adjacency,
             None if self.controls is None else self.controls[..., step, :],
             None if self.present is None else self.present[..., step, :],
         )
 
+    def dense(self) -> "StepInputs":
+        """Return the same inputs with a matrix in place of a list of edges."""
+        if isinstance(self.adjacency, EdgeList):
+            return replace(self, adjacency=self.adjacency.to_dense(torch.get_default_dtype()))
+        return self
+
+    def tensors(self, frames: Any) -> list[torch.Tensor]:
+        """Return what is there as tensors with one leading dimension, all frames in a row.
+
+        Parameters
+        ----------
+        frames
+            Shape of the frames, against which the inputs broadcast.
+        """
+        inner = {"adjacency": 2, "controls": 1, "present": 1}
+        found = []
+        for name, dims in inner.items():
+            value = getattr(self.dense(), name)
+            if value is not None:
+                shape = (*frames, *value.shape[value.dim() - dims :])
+                found.append(value.expand(shape).reshape(-1, *shape[len(frames) :]))
+        return found
+
+    def rebuild(self, tensors: Sequence[torch.Tensor]) -> "StepInputs":
+        """Return inputs with other tensors in the order of :meth:`tensors`."""
+        rest = iter(tensors)
+        names = ("adjacency", "controls", "present")
+        return StepInputs(*(None if getattr(self, n) is None else next(rest) for n in names))
+
 
 #: From states ``(..., individual, state)`` and inputs to the distribution of the next states, of
 #: batch shape ``(..., individual)`` and event shape ``(state,)``.
-Transition = Callable[[torch.Tensor, StepInputs], TorchDistribution]
+Step = Callable[[torch.Tensor, StepInputs], TorchDistribution]
 
 
 class MarkovChain(TorchDistribution):  # type: ignore[misc]
@@ -63,7 +99,7 @@ class MarkovChain(TorchDistribution):  # type: ignore[misc]
         Distribution of the first states: event shape ``(state,)``, batch shape broadcastable with
         ``batch_shape + (individual,)``.
     transition
-        See :data:`Transition`. A :class:`torch.nn.Module` is as good as a function.
+        See :data:`Step`. A :class:`torch.nn.Module` is as good as a function.
     num_steps
         T, the number of frames.
     num_individuals
@@ -86,7 +122,7 @@ class MarkovChain(TorchDistribution):  # type: ignore[misc]
     def __init__(
         self,
         initial: TorchDistribution,
-        transition: Transition,
+        transition: Step,
         num_steps: int,
         num_individuals: int,
         *,
@@ -108,16 +144,15 @@ class MarkovChain(TorchDistribution):  # type: ignore[misc]
                 f"mask must end in (time, individual) = {expected}, and its shape is "
                 f"{tuple(mask.shape)}"
             )
-        for name, trailing in (("adjacency", 3), ("controls", 2), ("present", 2)):
-            value = getattr(inputs, name)
-            if value is not None and value.shape[-trailing] != num_steps - 1:
-                raise ValueError(
-                    f"{name} must have {num_steps - 1} steps, and its shape is {tuple(value.shape)}"
-                )
+        _check_initial(initial, num_individuals)
+        _check_inputs(inputs, num_steps - 1, num_individuals)
         if batch_shape is None:
             shapes = [initial.batch_shape[:-1]]
             shapes += [] if mask is None else [mask.shape[:-2]]
-            shapes += [] if inputs.adjacency is None else [inputs.adjacency.shape[:-3]]
+            if isinstance(inputs.adjacency, EdgeList):
+                shapes += [torch.Size(inputs.adjacency.leading[:-1])]
+            elif inputs.adjacency is not None:
+                shapes += [inputs.adjacency.shape[:-3]]
             shapes += [] if inputs.controls is None else [inputs.controls.shape[:-2]]
             batch_shape = torch.broadcast_shapes(*shapes)  # type: ignore[no-untyped-call]
         self.initial = initial.expand((*batch_shape, num_individuals))
@@ -148,23 +183,24 @@ class MarkovChain(TorchDistribution):  # type: ignore[misc]
             inputs=self.inputs,
             mask=self.mask_present,
             batch_shape=torch.Size(batch_shape),
-            validate_args=False,
+            validate_args=self._validate_args,
         )
 
     def rsample(self, sample_shape: Any = torch.Size()) -> torch.Tensor:  # noqa: B008
-        """Draw paths, step by step."""
+        """Draw paths, step by step; differentiable as far as the draws of the parts are."""
         num_steps = self.event_shape[0]
         initial = self.initial.expand((*sample_shape, *self.initial.batch_shape))
         present = self.mask_present
-        state = initial.rsample()
+        # Calling a distribution of Pyro's is `rsample` where it has that, and else `sample`.
+        state = initial()
         if present is not None:
             state = state * present[..., 0, :, None]
         path = [state]
         for step in range(num_steps - 1):
-            following = self.transition(state, self.inputs.at(step)).rsample()
+            following = self._following(state, self.inputs.at(step))()
             if present is not None:
                 before, after = present[..., step, :, None], present[..., step + 1, :, None]
-                following = torch.where(before, following, initial.rsample()) * after
+                following = torch.where(before, following, initial()) * after
             state = following.expand_as(state)
             path.append(state)
         return torch.stack(path, dim=-3)
@@ -176,28 +212,74 @@ class MarkovChain(TorchDistribution):  # type: ignore[misc]
         ----------
         value
             Shape ``(..., time, individual, state)``.
+
+        Raises
+        ------
+        ValueError
+            If arguments are checked and the path has another shape, or positions that do not follow
+            from its velocities under a transition in which they must.
         """
         if self._validate_args:
             self._check_path(value)
+        there = self.mask_present
         # Time in front is a sample dimension to the initial distribution, which scores all frames
         # at once: it needs the first one, and those in which somebody comes.
-        frames = self.initial.log_prob(value.movedim(-3, 0)).movedim(0, -2)
+        if there is None:
+            frames = self.initial.log_prob(value[..., 0, :, :]).unsqueeze(-2)
+        else:
+            frames = self.initial.log_prob(value.movedim(-3, 0)).movedim(0, -2)
         if value.shape[-3] == 1:
             steps = frames[..., :0, :]
         else:
             before, after = value[..., :-1, :, :], value[..., 1:, :, :]
-            steps = self.transition(before, self.inputs).log_prob(after)
-        if self.mask_present is None:
+            following = self._following(before, self.inputs)
+            steps = following.log_prob(after)
+            if self._validate_args:
+                self._check_surface(following, after)
+        if there is None:
             total: torch.Tensor = frames[..., 0, :].sum(-1) + steps.sum((-1, -2))
             return total
-        there = self.mask_present
-        stays = there[..., 1:, :] & there[..., :-1, :]
         comes = there.clone()
         comes[..., 1:, :] &= ~there[..., :-1, :]
         # `where`, not a product: 0 times an infinite density would be NaN.
-        steps = torch.where(stays, steps, 0.0).sum((-1, -2))
+        steps = torch.where(self._stays(there), steps, 0.0).sum((-1, -2))
         total = torch.where(comes, frames, 0.0).sum((-1, -2)) + steps
         return total
+
+    def _following(self, states: torch.Tensor, inputs: StepInputs) -> TorchDistribution:
+        """Return what the transition says of the next states, if it has their shape."""
+        following = self.transition(states, inputs)
+        own, wanted = following.batch_shape, states.shape[:-1]
+        fits = all(a in (1, b) for a, b in zip(own[::-1], wanted[::-1], strict=False))
+        if following.event_shape != states.shape[-1:] or not fits:
+            raise ValueError(
+                "a transition must return a distribution of batch shape (..., individual) = "
+                f"{tuple(wanted)} and event shape (state,) = {tuple(states.shape[-1:])}, and this "
+                f"one has {tuple(own)} and {tuple(following.event_shape)}; .to_event(1) is missing "
+                "where the features of a state are not its event"
+            )
+        return following
+
+    @staticmethod
+    def _stays(there: torch.Tensor) -> torch.Tensor:
+        """Return who is there at both ends of each step."""
+        return there[..., 1:, :] & there[..., :-1, :]
+
+    def _check_surface(self, following: TorchDistribution, after: torch.Tensor) -> None:
+        """Refuse positions that cannot have come about."""
+        if not isinstance(following, Kinematic):
+            return
+        # The longest way from the origin: a path that is summed up has rounding errors of its size.
+        size = following.position.abs().amax((-3, -1), keepdim=True).squeeze(-1)
+        off = following.is_off_surface(after, size)
+        if self.mask_present is not None:
+            off = off & self._stays(self.mask_present)
+        if bool(off.any()):
+            raise ValueError(
+                "positions of a path must follow from its velocities, p' = p + dt v', and some do "
+                "not; a guide draws such paths with transition.path(first, free), and data need "
+                "velocities by backward differences"
+            )
 
     def _check_path(self, value: torch.Tensor) -> None:
         """Refuse a path of another shape, naming both."""
@@ -206,3 +288,33 @@ class MarkovChain(TorchDistribution):  # type: ignore[misc]
                 f"a path must end in (time, individual, state) = {tuple(self.event_shape)}, and "
                 f"its shape is {tuple(value.shape)}"
             )
+
+
+def _check_initial(initial: TorchDistribution, num_individuals: int) -> None:
+    """Refuse first states of another number of individuals."""
+    if initial.batch_shape and initial.batch_shape[-1] not in (1, num_individuals):
+        raise ValueError(
+            f"initial must have batch shape (..., individual) with {num_individuals} individuals "
+            f"or 1, and it is {tuple(initial.batch_shape)}"
+        )
+
+
+def _check_inputs(inputs: StepInputs, steps: int, num_individuals: int) -> None:
+    """Refuse inputs of another number of steps or individuals."""
+    expected: dict[str, tuple[int, ...]] = {
+        "adjacency": (steps, num_individuals, num_individuals),
+        "present": (steps, num_individuals),
+    }
+    for name in ("adjacency", "controls", "present"):
+        value = getattr(inputs, name)
+        if value is None:
+            continue
+        if isinstance(value, EdgeList):
+            shape: tuple[int, ...] = (*value.leading, value.individuals, value.individuals)
+        else:
+            shape = tuple(value.shape)
+        wanted = expected.get(name, (steps, *shape[-1:]))
+        if shape[-len(wanted) :] != wanted:
+            words = "(step, control)" if name == "controls" else "(step, individual)"
+            words = "(step, individual, individual)" if name == "adjacency" else words
+            raise ValueError(f"{name} must end in {words} = {wanted}, and its shape is {shape}")

@@ -12,10 +12,16 @@ from typing import Any
 from swarmssm.errors import InputError
 from swarmssm.models.base import SwarmModel
 from swarmssm.models.graph_vae import GraphVAE
+from swarmssm.models.ready import boids, graph_ssm, linear
 
 __all__ = ["MODELS", "find_model", "find_part"]
 
-MODELS: dict[str, Callable[..., SwarmModel]] = {"graph-vae": GraphVAE}
+MODELS: dict[str, Callable[..., SwarmModel]] = {
+    "boids": boids,
+    "graph-ssm": graph_ssm,
+    "graph-vae": GraphVAE,
+    "linear": linear,
+}
 
 
 def find_model(name: str) -> Callable[..., SwarmModel]:

@@ -95,9 +95,9 @@ def test_forecasts_are_those_of_fit_forecast_made_from_the_history_alone(
     truth = scaler.transform(states_of(part))
     trials, rows = rolling_origins(np.isfinite(truth).all(-1), 12)
     prepared = quick_fit.prepare(part)
-    first = quick_fit.stepper().run(
-        prepared.observations[:, 0], prepared.adjacency[:, 0], prepared.mask[:, 0], 10, sample=False
-    )
+    predictor = quick_fit.predictor()
+    start = predictor.begin(prepared, torch.tensor([0]), torch.tensor([0]), 0)
+    first = predictor.run(start, 10, sample=False)
     for step in (1, 3, 10):
         squares = [((first.states[0, step - 1].numpy() - truth[0, step]) ** 2).mean()]
         for trial, row in zip(trials, rows, strict=True):

@@ -9,6 +9,7 @@ import torch
 import xarray as xr
 
 from swarmssm.inference import Fit, fit
+from swarmssm.models import StateSpaceModel, SwarmBatch
 from swarmssm.simulate import simulate_boids
 from swarmssm.tracks import make_tracks
 
@@ -57,3 +58,49 @@ def weights_of() -> Callable[[Fit], dict[str, torch.Tensor]]:
         return {f"{p}.{n}": v for p, module in parts for n, v in module.state_dict().items()}
 
     return weights
+
+
+def _dense_evidence(model: StateSpaceModel, batch: SwarmBatch) -> torch.Tensor:
+    """Return the log-density of each window of a linear-Gaussian swarm, from one big Gaussian."""
+    batches, times, individuals, _ = batch.observations.shape
+    size = individuals * model.state_dim
+    initial = model.initial()
+    start_mean = initial.mean.expand(individuals, -1).reshape(-1)
+    start_root = initial.stddev.expand(individuals, -1).reshape(-1).diag()
+    eye, densities = torch.eye(size, dtype=start_mean.dtype), []
+    for b in range(batches):
+        there = batch.present[b].repeat_interleave(model.state_dim, -1).to(start_mean)
+        # The whole path as an affine function of standard noise, `size` of it for each frame.
+        mean, root = start_mean * there[0], torch.zeros(size, times * size, dtype=eye.dtype)
+        root[:, :size] = start_root * there[0, :, None]
+        means, roots = [mean], [root]
+        for t in range(1, times):
+            inputs = batch.select(torch.tensor([b])).steps().at(t - 1)
+            law = model.transition.linearize(mean.reshape(1, individuals, -1), inputs)
+            noise = torch.linalg.eigh(law.noise[0])
+            half = noise.eigenvectors * noise.eigenvalues.clamp(min=0).sqrt().unsqueeze(-2)
+            stays = (there[t] * there[t - 1]).unsqueeze(-1)
+            comes = (there[t] * (1 - there[t - 1])).unsqueeze(-1)
+            root = stays * (law.jacobian[0].reshape(size, size) @ root)
+            root[:, t * size : (t + 1) * size] = stays * torch.block_diag(*half)
+            root[:, t * size : (t + 1) * size] += comes * start_root
+            mean = stays[:, 0] * law.mean[0].reshape(-1) + comes[:, 0] * start_mean
+            means.append(mean)
+            roots.append(root)
+        states = torch.stack(means).reshape(times, individuals, -1)
+        seen = model.emission.linearize(states)
+        show = torch.block_diag(*seen.jacobian.flatten(0, 1))
+        mixed = show @ torch.cat(roots)
+        covariance = mixed @ mixed.T + torch.block_diag(*seen.noise.flatten(0, 1))
+        known = batch.mask[b].flatten().repeat_interleave(batch.observations.shape[-1])
+        gaussian = torch.distributions.MultivariateNormal(
+            seen.mean.flatten()[known], covariance[known][:, known]
+        )
+        densities.append(gaussian.log_prob(batch.observations[b].flatten()[known]))
+    return torch.stack(densities)
+
+
+@pytest.fixture(scope="session")
+def dense_evidence() -> Callable[[StateSpaceModel, SwarmBatch], torch.Tensor]:
+    """Return a function that knows the exact evidence of a linear-Gaussian swarm."""
+    return _dense_evidence

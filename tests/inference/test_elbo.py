@@ -128,8 +128,7 @@ def test_mini_batches_are_scaled_to_all_windows(truth):
 def test_a_window_s_weight_counts_it_so_often(truth):
     mean, covariance = truth.posterior()
     weight = torch.tensor([2.0, 0.5, 1.0], dtype=DOUBLE)
-    batch = truth.batch
-    weighted = SwarmBatch(batch.observations, batch.mask, batch.adjacency, weight, 3)
+    weighted = dataclasses.replace(truth.batch, window_weight=weight)
     one = guide_of(mean, covariance, truth.known)
 
     def guide(batch):

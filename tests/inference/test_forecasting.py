@@ -11,8 +11,10 @@ import xarray as xr
 from swarmssm.errors import InputError, WorkError
 from swarmssm.graphs import GraphRule, add_adjacency
 from swarmssm.inference import fit
-from swarmssm.inference.forecasting import Stepper
+from swarmssm.inference.guides import OneStepGuide
+from swarmssm.inference.prediction import OneStepPredictor
 from swarmssm.inference.starting import MAX_CARRY
+from swarmssm.models import NextStep, OneStepModel
 from swarmssm.simulate import simulate_boids
 from swarmssm.tracks import make_tracks, validate_tracks
 
@@ -114,7 +116,7 @@ def test_a_prediction_by_hand(fitted, swarm):
 
 def test_frames_in_chunks_are_the_same(fitted, swarm, monkeypatch):
     whole = fitted.predictive(swarm)
-    monkeypatch.setattr("swarmssm.inference.fitted.CHUNK", 7 * 16)
+    monkeypatch.setattr("swarmssm.inference.prediction.one_step.CHUNK", 7 * 16)
     parts = fitted.predictive(swarm)
     for name in whole.data_vars:
         np.testing.assert_allclose(parts[name], whole[name], rtol=1e-4, atol=1e-5)
@@ -241,11 +243,11 @@ def test_who_is_just_out_of_sight_is_carried_on(fitted, swarm):
     assert found[0]["position"].notnull().all()
 
 
-class Turning(torch.nn.Module):
+class Turning(OneStepModel, OneStepGuide):
     """A rule that is known: each latent state is the state, and the next is its rotation."""
 
     def __init__(self, turn=0.3, logit=0.0, noise=0.0):
-        super().__init__()
+        super().__init__(4)
         self.turn, self.logit, self.noise = turn, logit, noise
         self.graphs = []
 
@@ -254,8 +256,6 @@ class Turning(torch.nn.Module):
         return torch.distributions.Normal(states, torch.full_like(states, 1e-12))
 
     def decode(self, latent):
-        from swarmssm.models import NextStep
-
         x, y, vx, vy = latent.unbind(-1)
         c, s = math.cos(self.turn), math.sin(self.turn)
         turned = torch.stack([c * x - s * y, s * x + c * y, c * vx - s * vy, s * vx + c * vy], -1)
@@ -348,7 +348,7 @@ def test_edges_that_cannot_be_are_refused(fitted, swarm):
     blind = dataclasses.replace(fitted, preparation=preparation)
     with pytest.raises(InputError, match="the rule that makes the graph is not known"):
         blind.rollout(swarm, 2, edges="rule")
-    assert isinstance(blind.stepper(), Stepper)
+    assert isinstance(blind.predictor(), OneStepPredictor)
 
 
 def test_a_rollout_is_tracks(fitted, swarm):

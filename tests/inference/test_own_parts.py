@@ -14,8 +14,8 @@ SHIFT = """
 import pyro
 import pyro.distributions as dist
 import torch
-from swarmssm.inference.guides import SwarmGuide
-from swarmssm.models import NextStep, SwarmModel
+from swarmssm.inference.guides import OneStepGuide
+from swarmssm.models import NextStep, OneStepModel
 
 
 def plate(batch):
@@ -26,13 +26,12 @@ def scored(batch):
     return (batch.mask[:, 1:] & batch.mask[:, :-1]).unsqueeze(-1)
 
 
-class Shift(SwarmModel):
+class Shift(OneStepModel):
     default_epochs = 2
 
-    def __init__(self, state_dim, start=0.0):
-        super().__init__(state_dim, start=start)
-        self.latent_dim = state_dim
-        self.shift = torch.nn.Parameter(torch.full((state_dim,), float(start)))
+    def __init__(self, scales, start=0.0):
+        super().__init__(scales.state_dim)
+        self.shift = torch.nn.Parameter(torch.full((self.state_dim,), float(start)))
 
     def decode(self, latent):
         size = latent.shape[-2]
@@ -48,7 +47,7 @@ class Shift(SwarmModel):
             pyro.sample("next_states", states, obs=batch.observations[:, 1:])
 
 
-class Known(SwarmGuide):
+class Known(OneStepGuide):
     def __init__(self, sd):
         super().__init__()
         self.sd = sd
@@ -66,8 +65,8 @@ class Known(SwarmGuide):
             pyro.sample("states", posterior.mask(scored(batch)).to_event(3))
 
 
-def built(state_dim, **options):
-    return Shift(state_dim, **options)
+def built(scales, **options):
+    return Shift(scales, **options)
 
 
 def known(model):
@@ -150,7 +149,7 @@ def test_code_that_changed_since_the_checkpoint_is_noticed(folder, swarm):
     with pytest.raises(Halt):
         fit(tracks=swarm, callbacks=[halt], **settings)
     del sys.modules["shift"]
-    (folder / "shift.py").write_text(SHIFT.replace("(state_dim,), float", "(1,), float"))
+    (folder / "shift.py").write_text(SHIFT.replace("(self.state_dim,), float", "(1,), float"))
     with pytest.raises(InputError, match="checkpoint does not fit model and guide; has their code"):
         fit(tracks=swarm, resume=True, **settings)
 
@@ -160,7 +159,10 @@ def test_code_that_changed_since_the_checkpoint_is_noticed(folder, swarm):
     [
         ({"model": "no_such_file:Shift"}, "model: there is no module no_such_file"),
         ({"model": "shift:Shaft"}, "model: the module shift has no class or function Shaft"),
-        ({"guide": "shift"}, "guide: 'shift' is unknown. Choose one of encoder, or name your own"),
+        (
+            {"guide": "shift"},
+            "guide: 'shift' is unknown. Choose one of .*encoder, .* or name your own",
+        ),
         (
             {"model_options": {"stop": 1}},
             r"model: shift:Shift cannot be built with \{'stop': 1\}: .*argument 'stop'",

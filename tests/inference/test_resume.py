@@ -278,7 +278,6 @@ def test_normalisation_and_frozen_weights_go_on_too(tmp_path, tracks, monkeypatc
     class Normalised(GraphVAE):
         def __init__(self, state_dim):
             super().__init__(state_dim)
-            self.options = {}
             self.norm = torch.nn.BatchNorm1d(4)
             self.decoder = torch.nn.Sequential(self.decoder)
             self.tied = self.decoder[0][0].weight

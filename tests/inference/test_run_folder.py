@@ -220,9 +220,18 @@ def test_each_byte_of_the_provenance_is_read_or_of_no_matter(run):
             r"config\.json: model: graph-vae cannot be built",
         ),
         (
-            lambda c: c["preparation"]["scaler"].update(offset=[0.0] * 6, scale=[1.0] * 6),
-            "the weights do not fit the model",
+            lambda c: c["scales"].update(space=3),
+            r"config\.json: the scaler has 4 features, and the states of the tracks have 6",
         ),
+        (lambda c: c["scales"].update(space="two"), "cannot be understood"),
+        (lambda c: c["scales"].update(breadth=2.0), "cannot be understood"),
+        (lambda c: c["scales"].pop("speed"), "cannot be understood"),
+        (lambda c: c.pop("scales"), "the table scales is missing"),
+        (
+            lambda c: c["preparation"]["scaler"].update(offset=[0.0] * 6, scale=[1.0] * 6),
+            r"config\.json: the scaler has 6 features, and the states of the tracks have 4",
+        ),
+        (lambda c: c["preparation"].update(observes="faces"), "cannot be understood"),
     ],
 )
 def test_a_configuration_that_does_not_fit_is_said(run, change, sentence):
@@ -284,8 +293,8 @@ def test_code_that_is_not_ours_is_not_imported(run, part, name, monkeypatch):
 
 def test_trust_is_asked_for_what_could_run(run):
     """With trust, a function that is no model fails in a sentence."""
-    change_config(run, lambda c: c["settings"].update(model="math:sqrt"))
-    with pytest.raises(InputError, match="model: math:sqrt built no torch module, but float"):
+    change_config(run, lambda c: c["settings"].update(model="builtins:repr"))
+    with pytest.raises(InputError, match="model: builtins:repr built no torch module, but str"):
         Fit.load(run, trust_code=True)
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from swarmssm.errors import InputError
 from swarmssm.graphs import GraphRule, add_adjacency
-from swarmssm.inference.data import Prepared, preparation_for, prepare, windows_of
+from swarmssm.inference.data import Prepared, frames_of, preparation_for, prepare, windows_of
 from swarmssm.scaling import Scaler
 from swarmssm.tracks import make_tracks
 
@@ -26,7 +26,7 @@ def numbered(mask):
     # An edge says where it stands too, by a pattern of places modulo 2.
     adjacency = (places.unsqueeze(-1) + torch.arange(individuals)) % 2 == 0
     adjacency &= mask.unsqueeze(-1) & mask.unsqueeze(-2)
-    return Prepared(xr.Dataset(), np.empty(0), observations, mask, adjacency)
+    return Prepared(xr.Dataset(), np.empty(0), observations, mask, observations, mask, adjacency)
 
 
 def steps_of(mask):
@@ -34,20 +34,22 @@ def steps_of(mask):
     return {tuple(s) for s in (mask[:, 1:] & mask[:, :-1]).nonzero().tolist()}
 
 
-@given(
-    trials=st.integers(1, 3),
-    times=st.integers(2, 13),
-    individuals=st.integers(1, 3),
-    window=st.none() | st.integers(2, 16),
-    seed=st.integers(0, 10**6),
-    share=st.sampled_from([0.3, 0.8, 1.0]),
-)
-def test_windows_hold_each_step_once(trials, times, individuals, window, seed, share):
-    generator = torch.Generator().manual_seed(seed)
+@st.composite
+def masks(draw):
+    """Return who is observed, ``(trial, time, individual)``, in trials of unequal length."""
+    trials, times = draw(st.integers(1, 3)), draw(st.integers(2, 13))
+    individuals = draw(st.integers(1, 3))
+    generator = torch.Generator().manual_seed(draw(st.integers(0, 10**6)))
+    share = draw(st.sampled_from([0.3, 0.8, 1.0]))
     mask = torch.rand(trials, times, individuals, generator=generator) < share
     for trial in range(trials):
-        # Trials of unequal length.
         mask[trial, times - trial :] = False
+    return mask
+
+
+@given(mask=masks(), window=st.none() | st.integers(2, 16))
+def test_windows_hold_each_step_once(mask, window):
+    _, times, individuals = mask.shape
     prepared = numbered(mask)
     wanted = steps_of(mask)
     if not wanted:
@@ -76,6 +78,101 @@ def test_windows_hold_each_step_once(trials, times, individuals, window, seed, s
             assert torch.equal(adjacency[t].bool(), prepared.adjacency[trial, time])
             assert torch.equal(adjacency[t + 1].bool(), prepared.adjacency[trial, time + 1])
     assert found == Counter(wanted)
+
+
+@given(mask=masks(), window=st.none() | st.integers(2, 16))
+def test_windows_that_share_no_border_hold_each_frame_once(mask, window):
+    """Left out are only the windows in which nobody is seen twice: they tell of no motion."""
+    trials, times, _ = mask.shape
+    length = min(window or times, times)
+    prepared = numbered(mask)
+    wanted = Counter()
+    windows = 0
+    for trial in range(trials):
+        for start in range(0, times, length):
+            part = mask[trial, start : start + length]
+            if int(part.sum(0).max()) > 1:
+                windows += 1
+                rows = [(trial, start + t, i) for t, i in part.nonzero().tolist()]
+                wanted.update(rows)
+    if not wanted:
+        with pytest.raises(InputError, match="tracks: nobody is seen in two frames"):
+            windows_of(prepared, window, share_border=False)
+        return
+    batch = windows_of(prepared, window, share_border=False)
+    assert (len(batch), batch.num_times, batch.population) == (windows, length, windows)
+    assert (batch.window_weight == 1).all()
+    found = Counter()
+    for observations, seen, adjacency in zip(
+        batch.observations, batch.mask, batch.adjacency, strict=True
+    ):
+        assert (observations[~seen] == 0).all()
+        assert (adjacency[~(seen.unsqueeze(-1) & seen.unsqueeze(-2))] == 0).all()
+        places = set()
+        for t, i in seen.nonzero().tolist():
+            place = np.unravel_index(int(observations[t, i, 0]) - 1, mask.shape)
+            trial, time, individual = map(int, place)
+            assert individual == i
+            places.add((trial, time - t))
+            found[trial, time, i] += 1
+            assert torch.equal(adjacency[t].bool(), prepared.adjacency[trial, time])
+        # All frames of a window follow on each other, and it starts where none before it ends.
+        ((_, start),) = places
+        assert start % length == 0
+    assert found == wanted
+    # From its first sighting in a window to the last, an individual is there.
+    assert (batch.present >= batch.mask).all()
+    assert torch.equal(batch.present.any(1), batch.mask.any(1))
+
+
+def test_windows_that_share_no_border_by_hand():
+    """Eight frames in windows of three: 0-2, 3-5 and 6-7, the last padded by one."""
+    mask = torch.ones(1, 8, 1, dtype=torch.bool)
+    batch = windows_of(numbered(mask), 3, share_border=False)
+    assert batch.observations[..., 0, 0].tolist() == [[1, 2, 3], [4, 5, 6], [7, 8, 0]]
+    assert batch.present[..., 0].tolist() == [[True] * 3, [True] * 3, [True, True, False]]
+    # One frame that is left over is a sighting of nothing that moves.
+    assert len(windows_of(numbered(mask[:, :7]), 3, share_border=False)) == 2
+    # Seen in the first frame and the last: two sightings of a motion, though no step.
+    mask[0, 1] = False
+    batch = windows_of(numbered(mask[:, :3]), 3, share_border=False)
+    assert batch.mask[..., 0].tolist() == [[True, False, True]]
+    assert batch.present[..., 0].tolist() == [[True, True, True]]
+    with pytest.raises(InputError, match="in two consecutive frames"):
+        windows_of(numbered(mask[:, :3]), 3)
+
+
+@given(mask=masks(), start=st.integers(-6, 16), length=st.integers(1, 9), data=st.data())
+def test_any_frames_can_be_taken(mask, start, length, data):
+    """What lies before the first frame or after the last is a frame without anybody."""
+    trials, times, _ = mask.shape
+    prepared = numbered(mask)
+    chosen = data.draw(st.lists(st.integers(0, trials - 1), min_size=1, max_size=4))
+    starts = [start + k for k in range(len(chosen))]
+    batch = frames_of(prepared, torch.tensor(chosen), torch.tensor(starts), length)
+    assert (len(batch), batch.num_times, batch.population) == (len(chosen), length, len(chosen))
+    assert batch.observations.isfinite().all()
+    for window, (trial, first) in enumerate(zip(chosen, starts, strict=True)):
+        for t in range(length):
+            row = first + t
+            parts = (batch.observations, batch.mask, batch.adjacency)
+            frame = [part[window, t] for part in parts]
+            if 0 <= row < times:
+                wholes = (prepared.observations, prepared.mask, prepared.adjacency)
+                for part, whole in zip(frame, wholes, strict=True):
+                    assert torch.equal(part, whole[trial, row].to(part.dtype))
+            else:
+                assert all(int(part.sum()) == 0 for part in frame)
+
+
+def test_frames_before_the_first_and_after_the_last():
+    prepared = numbered(torch.ones(2, 4, 1, dtype=torch.bool))
+    rows = torch.tensor([0, 1, 0, 1]), torch.tensor([-2, 2, -5, 9])
+    batch = frames_of(prepared, *rows, 3)
+    found = batch.observations[..., 0, 0].tolist()
+    assert found == [[0, 0, 1], [7, 8, 0], [0, 0, 0], [0, 0, 0]]
+    assert torch.equal(batch.mask[..., 0], batch.observations[..., 0, 0] > 0)
+    assert batch.adjacency.dtype == torch.float32
 
 
 def test_windows_share_their_border_frames():

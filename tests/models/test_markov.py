@@ -177,7 +177,7 @@ def test_gradients_reach_the_transition_through_the_draws():
         ),
         (
             {"inputs": StepInputs(controls=torch.zeros(4, 2))},
-            r"controls must have 3 steps, and its shape is \(4, 2\)",
+            r"controls must end in \(step, control\) = \(3, 2\), and its shape is \(4, 2\)",
         ),
     ],
 )

@@ -1,22 +1,33 @@
 """What every guide offers."""
 
-from typing import Any, Self
+from collections.abc import Mapping
+from typing import Any, ClassVar, Self
 
+import pyro
 import pyro.distributions as dist
 import torch
 from pyro.nn import PyroModule
 
-from swarmssm.models import SwarmBatch, SwarmModel
+from swarmssm.inference.guides.parameters import GlobalGuide
+from swarmssm.models import StateSpaceModel, SwarmBatch, SwarmModel
 
-__all__ = ["SwarmGuide"]
+__all__ = ["OneStepGuide", "ParameterGuide", "PathGuide", "SwarmGuide"]
 
 
 class SwarmGuide(PyroModule):  # type: ignore[misc]
-    """A Pyro guide over the latent states of a :class:`swarmssm.models.SwarmModel`.
+    """A Pyro guide over the latent sites of a :class:`swarmssm.models.SwarmModel`.
 
-    A subclass writes :meth:`for_model`, which builds it, :meth:`forward`, a Pyro guide that samples
-    the site ``"states"``, and :meth:`encode`, the same posterior for single frames.
+    A subclass writes :meth:`for_model`, which builds it, and :meth:`forward`, a Pyro guide that
+    samples the site ``"states"`` and every parameter that has a prior.
     """
+
+    #: Frames in a window unless the user says otherwise; ``None``, whole trials.
+    window: ClassVar[int | None] = 20
+
+    def __init__(self) -> None:
+        super().__init__()
+        if not hasattr(self._pyro_context, "param_state"):
+            self._pyro_context.param_state = {"params": {}, "constraints": {}}
 
     @classmethod
     def for_model(cls, model: SwarmModel, **options: Any) -> Self:
@@ -24,8 +35,12 @@ class SwarmGuide(PyroModule):  # type: ignore[misc]
         raise TypeError(f"{cls.__name__} must define for_model(model, **options)")
 
     def forward(self, batch: SwarmBatch) -> None:
-        """Sample the latent states of a batch of windows; to be run under a Pyro handler."""
+        """Sample the latent sites for a batch of windows; to be run under a Pyro handler."""
         raise TypeError(f"{type(self).__name__} must define forward(batch)")
+
+
+class OneStepGuide(SwarmGuide):
+    """A guide of a :class:`swarmssm.models.OneStepModel`, each frame for itself."""
 
     def encode(self, states: torch.Tensor, adjacency: torch.Tensor) -> dist.Normal:
         """Return q(z | x, A) of each frame.
@@ -42,3 +57,91 @@ class SwarmGuide(PyroModule):  # type: ignore[misc]
         Normal of batch shape ``(..., individual, latent)``.
         """
         raise TypeError(f"{type(self).__name__} must define encode(states, adjacency)")
+
+
+class PathGuide(SwarmGuide):
+    r"""A guide of a :class:`swarmssm.models.StateSpaceModel`:
+    :math:`q(\theta)\, q(z_{1:T} \mid x_{1:T}, \theta)`.
+
+    A subclass writes :meth:`path`.
+
+    Parameters
+    ----------
+    model
+        Its model.
+    parameters
+        Guide of the parameters with a prior, see
+        :class:`swarmssm.inference.guides.GlobalGuide`.
+    """
+
+    window: ClassVar[int | None] = 50
+
+    def __init__(self, model: StateSpaceModel, parameters: str = "multivariate") -> None:
+        super().__init__()
+        # In a list, or the model would be a part of the guide and saved and trained twice.
+        self._model = [model]
+        self.parameters_guide = GlobalGuide(model, parameters)
+
+    @classmethod
+    def for_model(cls, model: SwarmModel, **options: Any) -> Self:
+        """Return a guide that fits the model's latent states."""
+        if not isinstance(model, StateSpaceModel):
+            raise TypeError(f"a {cls.__name__} needs a StateSpaceModel")
+        return cls(model, **options)
+
+    @property
+    def model(self) -> StateSpaceModel:
+        """The model whose posterior this is."""
+        return self._model[0]
+
+    def path(
+        self, batch: SwarmBatch, values: Mapping[str, torch.Tensor]
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Draw a path for each window, differentiably.
+
+        Parameters
+        ----------
+        batch
+            Windows. Only these are looked at: a posterior of the last frame of a window is one that
+            uses the past alone.
+        values
+            Drawn parameters, by full name.
+
+        Returns
+        -------
+        States ``(batch, time, individual, state)``, 0 where nobody is present, and their
+        log-density ``(batch,)`` over the features that noise moves
+        (:meth:`swarmssm.models.Transition.free`; all of them in the frame where an individual
+        enters).
+        """
+        raise TypeError(f"{type(self).__name__} must define path(batch, values)")
+
+    def forward(self, batch: SwarmBatch) -> None:
+        """Sample the parameters, then the paths."""
+        values = self.parameters_guide()
+        if self.model.emission is None:
+            return
+        rows = torch.arange(len(batch), device=batch.mask.device)
+        with (
+            pyro.plate("windows", batch.population, subsample=rows, dim=-1),
+            pyro.poutine.scale(scale=batch.window_weight),
+        ):
+            states, log_density = self.path(batch, values)
+            pyro.sample("states", dist.Delta(states, log_density=log_density, event_dim=3))
+
+
+class ParameterGuide(PathGuide):
+    """The guide of a model whose states are observed exactly: there are only parameters to guess.
+
+    Raises
+    ------
+    ValueError
+        If the model has an emission, so that states are hidden.
+    """
+
+    window: ClassVar[int | None] = 50
+
+    def __init__(self, model: StateSpaceModel, parameters: str = "multivariate") -> None:
+        if model.emission is not None:
+            raise ValueError("the model's states are hidden: choose a guide that draws them")
+        super().__init__(model, parameters)

@@ -7,8 +7,8 @@ import pyro
 import pyro.distributions as dist
 import torch
 
-from swarmssm.graphs import normalized_adjacency
-from swarmssm.inference.guides.base import SwarmGuide
+from swarmssm.graphs import dense, normalized_adjacency
+from swarmssm.inference.guides.base import OneStepGuide
 from swarmssm.models.base import SwarmModel
 from swarmssm.models.batch import SwarmBatch
 from swarmssm.models.layers import GatedGraphLayer, GraphConvolution
@@ -22,7 +22,7 @@ LOG_VARIANCE_RANGE = (-20.0, 10.0)
 INITIAL_LOG_VARIANCE = -7.0
 
 
-class GraphEncoderGuide(SwarmGuide):
+class GraphEncoderGuide(OneStepGuide):
     r"""Gated graph network and graph convolutions, eqs (3.50)-(3.56).
 
     .. math::
@@ -70,11 +70,6 @@ class GraphEncoderGuide(SwarmGuide):
         if len(widths) != 3:
             raise ValueError(f"widths must be three numbers, and there are {len(widths)}")
         first, second, third = widths
-        self.options: dict[str, Any] = {
-            "widths": [first, second, third],
-            "rounds": rounds,
-            "self_weight": self_weight,
-        }
         self.gated = GatedGraphLayer(state_dim, first, rounds)
         self.second = GraphConvolution(first, second, self_weight=self_weight)
         self.third = GraphConvolution(second, third, self_weight=self_weight)
@@ -111,7 +106,7 @@ class GraphEncoderGuide(SwarmGuide):
     def forward(self, batch: SwarmBatch) -> None:
         """Sample the latent states of every frame but the last, as the model scores them."""
         both_ends = (batch.mask[:, :-1] & batch.mask[:, 1:]).unsqueeze(-1)
-        posterior = self.encode(batch.observations[:, :-1], batch.adjacency[:, :-1])
+        posterior = self.encode(batch.observations[:, :-1], dense(batch.adjacency)[:, :-1])
         rows = torch.arange(len(batch), device=both_ends.device)
         with (
             pyro.plate("windows", batch.population, subsample=rows, dim=-1),

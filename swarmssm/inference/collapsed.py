@@ -1,0 +1,84 @@
+"""A model with its latent paths summed out, as a Pyro model of the global parameters alone."""
+
+from collections.abc import Mapping
+
+import pyro
+import torch
+
+from swarmssm.inference.filtering.evidence import Method, collapsed_evidence
+from swarmssm.inference.filtering.layouts import Layout, Points
+from swarmssm.models import StateSpaceModel, SwarmBatch
+
+__all__ = ["Collapsed", "collapsed", "population_evidence"]
+
+
+def population_evidence(batch: SwarmBatch, evidence: torch.Tensor) -> torch.Tensor:
+    """Return what the windows of a mini-batch say about the evidence of all.
+
+    Parameters
+    ----------
+    batch
+        A sample of its population.
+    evidence
+        ``(batch,)``.
+
+    Returns
+    -------
+    A number whose mean over mini-batches is the weighted sum over the population.
+    """
+    return (batch.window_weight * evidence).sum() * (batch.population / len(batch))
+
+
+class Collapsed:
+    """See :func:`collapsed`."""
+
+    def __init__(
+        self,
+        model: StateSpaceModel,
+        method: Method = "iterated",
+        layout: Layout = "auto",
+        points: Points | None = None,
+    ) -> None:
+        self.model, self.method, self.layout, self.points = model, method, layout, points
+
+    def __call__(self, batch: SwarmBatch) -> None:
+        """Sample the parameters and weigh them by the evidence of the windows."""
+        pyro.factor("evidence", self.evidence(batch, self.model.sample_globals()))
+
+    def evidence(self, batch: SwarmBatch, values: Mapping[str, torch.Tensor]) -> torch.Tensor:
+        """Return what the windows say of the evidence of their population, at given values."""
+        found = collapsed_evidence(
+            self.model, batch, values, method=self.method, layout=self.layout, points=self.points
+        )
+        return population_evidence(batch, found)
+
+
+def collapsed(
+    model: StateSpaceModel,
+    *,
+    method: Method = "iterated",
+    layout: Layout = "auto",
+    points: Points | None = None,
+) -> Collapsed:
+    r"""Return :math:`p(\theta) \prod_w p(x^{(w)} \mid \theta)` as a Pyro model, paths summed out.
+
+    A handful of global parameters is all that is left: ``SVI(collapsed(model), guide, ...)`` with
+    an autoguide, ``NUTS(collapsed(model))``, or :func:`swarmssm.inference.laplace`.
+
+    Parameters
+    ----------
+    model
+        With an emission, and priors.
+    method, layout
+        As in :func:`swarmssm.inference.filtering.collapsed_evidence`.
+    points
+        Hold the points of linearisation: those of the batch that it will be called with. NUTS
+        needs this or ``method="extended"``, or the gradient is not that of the density.
+        :attr:`swarmssm.inference.Laplace.points` are good ones.
+
+    Returns
+    -------
+    Called with a batch. In a mini-batch the evidence counts ``population / batch`` times, and the
+    priors once.
+    """
+    return Collapsed(model, method, layout, points)

@@ -1,0 +1,170 @@
+"""Fit a model with its latent paths summed out, for a :class:`LinearizedGuide`."""
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import torch
+from pyro.infer import SVI, Trace_ELBO
+from pyro.optim import ClippedAdam
+
+from swarmssm.errors import WorkError
+from swarmssm.inference.collapsed import collapsed
+from swarmssm.inference.filtering.evidence import linearization_points
+from swarmssm.inference.filtering.layouts import Points
+from swarmssm.inference.guides.linearized import LinearizedGuide
+from swarmssm.inference.laplace import laplace
+from swarmssm.inference.training import num_coordinates, quiet_pyro
+from swarmssm.models import StateSpaceModel, SwarmBatch
+
+__all__ = ["fit_collapsed"]
+
+#: Steps of the optimiser between two moves of the points of linearisation.
+MOVE_POINTS = 25
+ROWS = 100
+
+
+def fit_collapsed(
+    model: StateSpaceModel,
+    guide: LinearizedGuide,
+    windows: SwarmBatch,
+    *,
+    validation: SwarmBatch | None = None,
+    steps: int = 1000,
+    batch_windows: int | None = None,
+    lr: float = 0.01,
+    seed: int = 0,
+    callback: Callable[[int, int | None, float], None] | None = None,
+) -> list[dict[str, float]]:
+    """Fit the parameters of a model, and the guide of those with a prior.
+
+    As ``guide.globals`` says: by Laplace's method, on all windows; or by stochastic variational
+    inference with Adam on mini-batches, at points of linearisation that are moved to the posterior
+    path of the guide's median now and then. Global random states are left as they were.
+
+    Parameters
+    ----------
+    model, guide
+        Changed in place: the parameters of the model that are learned without a prior, and
+        the guide's normal over those with one.
+    windows
+        All windows to fit.
+    validation
+        Windows to score at the guide's median after the fit; ``None`` for none.
+    steps, batch_windows, lr, seed
+        Of stochastic variational inference: steps of Adam, windows in a mini-batch (``None``, all),
+        learning rate, which falls to a tenth at the last step, and the seed of mini-batches and
+        draws. Laplace's method has no use for them.
+    callback
+        Called after each step or evaluation with its number, the number of them all (``None``
+        if that is not known), and the loss.
+
+    Returns
+    -------
+    The history, a row for each evaluation or for about every hundredth step: ``epoch``,
+    ``step``, ``loss`` (the negative log-density, or ELBO, per observed coordinate),
+    ``validation_loss`` (NaN in all but the last row, or without ``validation``) and ``seconds``.
+
+    Raises
+    ------
+    InputError
+        If there is nothing to fit.
+    WorkError
+        If the evidence breaks down, or the loss is not a number.
+    """
+    number = num_coordinates(windows, model)
+    fit = _by_laplace if guide.globals == "laplace" else _by_svi
+    options = {"steps": steps, "batch_windows": batch_windows, "lr": lr}
+    began = time.perf_counter()
+    rows: list[dict[str, float]] = []
+
+    def note(step: int, total: int | None, loss: float, *, keep: bool = True) -> None:
+        if keep:
+            rows.append(
+                {
+                    "epoch": float(step),
+                    "step": float(step),
+                    "loss": loss / number,
+                    "validation_loss": math.nan,
+                    "seconds": time.perf_counter() - began,
+                }
+            )
+        if callback is not None:
+            callback(step, total, loss / number)
+
+    with quiet_pyro(), torch.random.fork_rng():
+        torch.manual_seed(seed)
+        fit(model, guide, windows, note, options)
+        if validation is not None and rows:
+            rows[-1]["validation_loss"] = _score(model, guide, validation)
+    return rows
+
+
+def _by_laplace(
+    model: StateSpaceModel,
+    guide: LinearizedGuide,
+    windows: SwarmBatch,
+    note: Callable[..., None],
+    options: dict[str, Any],
+) -> None:
+    """Put Laplace's normal into the guide."""
+    found = laplace(
+        model,
+        windows,
+        layout=guide.layout,
+        callback=lambda step, loss: note(step, None, loss),
+    )
+    found.fill(guide.parameters_guide)
+
+
+def _by_svi(
+    model: StateSpaceModel,
+    guide: LinearizedGuide,
+    windows: SwarmBatch,
+    note: Callable[..., None],
+    options: dict[str, Any],
+) -> None:
+    """Maximise the ELBO of the parameters alone."""
+    steps, size = options["steps"], options["batch_windows"] or len(windows)
+    parameters = guide.parameters_guide
+    decay = 0.1 ** (1.0 / steps)
+    target = collapsed(model, layout=guide.layout)
+
+    def draw(batch: SwarmBatch) -> None:
+        parameters()
+
+    svi = SVI(target, draw, ClippedAdam({"lr": options["lr"], "lrd": decay}), Trace_ELBO())
+    points: Points | None = None
+    every = max(1, steps // ROWS)
+    batches = _batches(len(windows), min(size, len(windows)))
+    for step in range(1, steps + 1):
+        if (step - 1) % MOVE_POINTS == 0:
+            middle = parameters.median()
+            points = linearization_points(
+                model, windows, middle, layout=guide.layout, start=points
+            )
+        index = next(batches)
+        if points is not None:
+            target.points = Points(points.mean[index], points.covariance[index])
+        loss = float(svi.step(windows.select(index)))
+        if not math.isfinite(loss):
+            raise WorkError(
+                f"The loss is not a number at step {step}. Try a smaller learning rate."
+            )
+        note(step, steps, loss, keep=step % every == 0 or step == steps)
+
+
+def _batches(number: int, size: int) -> Iterator[torch.Tensor]:
+    """Yield mini-batches of one pass after another, each in a random order."""
+    while True:
+        yield from torch.randperm(number).split(size)
+
+
+def _score(model: StateSpaceModel, guide: LinearizedGuide, windows: SwarmBatch) -> float:
+    """Return the negative evidence per coordinate at the guide's median."""
+    target = collapsed(model, layout=guide.layout)
+    values = guide.parameters_guide.median()
+    with torch.no_grad():
+        evidence = target.evidence(windows, values)
+    return -float(evidence) / num_coordinates(windows, model)

@@ -1,0 +1,109 @@
+"""The model's own smoother as a guide: no network, exact where the model is linear Gaussian."""
+
+from collections.abc import Mapping
+from typing import ClassVar, Literal, get_args
+
+import torch
+
+from swarmssm.errors import InputError
+from swarmssm.inference.filtering.evidence import ITERATIONS, linearization_points
+from swarmssm.inference.filtering.kalman import kalman
+from swarmssm.inference.filtering.layouts import Layout, frames_of
+from swarmssm.inference.filtering.paths import draw_paths, path_log_density
+from swarmssm.inference.guides.base import PathGuide
+from swarmssm.models import KinematicTransition, StateSpaceModel, SwarmBatch
+
+__all__ = ["Globals", "LinearizedGuide"]
+
+#: How the parameters with a prior are fitted.
+Globals = Literal["laplace", "multivariate", "normal"]
+
+
+class LinearizedGuide(PathGuide):
+    r"""Paths from the smoother of the linearised model.
+
+    The model is linearised at its most probable path given the window (a Gauss-Newton iteration of
+    Kalman smoothers), and :math:`q(z_{1:T} \mid x_{1:T}, \theta)` is the posterior of that
+    linear-Gaussian model. Of a linear-Gaussian model it is the exact posterior: then
+    :math:`\log p(x, z) - \log q(z)` is the log evidence, whatever path was drawn.
+
+    Of a transition with hard limits (``is_smooth`` false) it is the linearised model's, in which
+    the limits are averaged over: good for paths and for the evidence, but its draws may lie a
+    little beyond the limits, where the model's own density is none, so that it has no ELBO.
+
+    There is nothing to train in it. Parameters of the model are fitted with the paths summed out, by
+    :func:`swarmssm.inference.fit_collapsed`.
+
+    Parameters
+    ----------
+    model
+        With an emission, and a transition in which noise moves all features or, as a
+        :class:`swarmssm.models.KinematicTransition`, the velocities.
+    globals
+        How the parameters with a prior are fitted: ``"laplace"``, by a normal about the most
+        probable values on the unconstrained scale; ``"multivariate"`` or ``"normal"``, by
+        stochastic variational inference with or without correlations.
+    layout
+        ``"joint"``, ``"blocks"`` or ``"auto"``, see
+        :func:`swarmssm.inference.filtering.collapsed_evidence`.
+    iterations
+        Of the search for the most probable path, at most.
+
+    Raises
+    ------
+    InputError
+        If the model is none of those above, or an option is unknown.
+    """
+
+    window: ClassVar[int | None] = 150
+
+    def __init__(
+        self,
+        model: StateSpaceModel,
+        globals: Globals = "laplace",
+        layout: Layout = "auto",
+        iterations: int = ITERATIONS,
+    ) -> None:
+        _check(model)
+        if globals not in get_args(Globals):
+            raise InputError(f"globals: choose {', '.join(get_args(Globals))}, not {globals!r}.")
+        if layout not in get_args(Layout):
+            raise InputError(f"layout: choose {', '.join(get_args(Layout))}, not {layout!r}.")
+        super().__init__(model, "multivariate" if globals == "laplace" else globals)
+        self.globals = globals
+        self.layout: Layout = layout
+        self.iterations = iterations
+
+    def path(
+        self, batch: SwarmBatch, values: Mapping[str, torch.Tensor]
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Draw a path for each window, differentiably in the parameters at held points."""
+        points = linearization_points(
+            self.model, batch, values, layout=self.layout, iterations=self.iterations
+        )
+        with self.model.fixed(values):
+            frames = frames_of(self.model, batch, self.layout)
+            filtered = kalman(frames.system(points))
+        rows = draw_paths(filtered, 1)
+        density = path_log_density(filtered, rows).squeeze(0)
+        dtype = batch.observations.dtype
+        return frames.paths(rows.squeeze(0)).to(dtype), frames.total(density).to(dtype)
+
+
+def _check(model: StateSpaceModel) -> None:
+    """Refuse a model whose paths a linearised smoother cannot draw."""
+    transition = model.transition
+    name = type(transition).__name__
+    if model.emission is None:
+        raise InputError(
+            "guide: a linearized guide draws hidden states, and this model's are observed exactly; "
+            "choose 'parameters'."
+        )
+    if not isinstance(transition, KinematicTransition) and (
+        transition.free_dim != transition.state_dim
+    ):
+        raise InputError(
+            f"guide: a linearized guide needs a KinematicTransition, or a transition that moves "
+            f"all {transition.state_dim} features of a state by noise, and {name} moves "
+            f"{transition.free_dim} of them."
+        )

@@ -1,0 +1,53 @@
+"""A guide with an independent Gaussian for each free feature of each step."""
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from swarmssm.inference.guides.chains import normal_terms, who_moves
+from swarmssm.inference.guides.following import FollowingGuide
+from swarmssm.models import SwarmBatch
+
+__all__ = ["SmoothingGuide"]
+
+
+class SmoothingGuide(FollowingGuide):
+    r"""Graph encoder and recurrence both ways in time; a diagonal Gaussian for each step.
+
+    .. math:: q(z_{1:T} \mid x) = \prod_i q(z_{1,i} \mid x) \prod_{t>1} q(f_{t,i} \mid x)
+
+    where f are the features that noise moves: of a kinematic transition the velocities, from which
+    the positions follow. Means are those of a smoother that the network corrects
+    (:class:`~swarmssm.inference.guides.following.FollowingGuide`); scales start at the best that
+    independence allows. Errors of velocities add up in positions, so that the scales are much
+    narrower than the posterior's: where that matters, use
+    :class:`~swarmssm.inference.guides.MarkovGuide`.
+
+    The model's law is taken as it stands when the bound is differentiated: through it, the bound
+    of a fitted guide does not change to first order, and the model's step is remembered but once.
+    """
+
+    differentiates_law: ClassVar[bool] = False
+
+    def path(self, batch: SwarmBatch, values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
+        """Draw a path for each window; see :meth:`PathGuide.path`."""
+        known = self.setting(batch, values)
+        parts = known.sightings, known.law, known.start, batch.present
+        mean = self.chain.steps(*parts).mean(known.reference)
+        spread = self.chain.spread(*parts)
+        free = self.model.transition.free
+        stretch = known.correction
+        first_noise, noise = torch.randn_like(mean), torch.randn_like(free(mean)[:, 1:])
+        first_scale = spread.first * stretch.exp()
+        scale = spread.free * free(stretch)[:, 1:].exp()
+        off = self.chain.join(
+            mean + first_scale * first_noise,
+            free(mean)[:, 1:] + scale * noise,
+            batch.present,
+        )
+        stays, comes = who_moves(batch.present)
+        density = normal_terms(first_noise, first_scale.log().sum(-1), comes)
+        density = density + normal_terms(noise, scale.log().sum(-1), stays)
+        return known.reference + off, density

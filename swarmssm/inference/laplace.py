@@ -1,0 +1,343 @@
+"""The posterior of the global parameters by Laplace's method, the latent paths summed out."""
+
+import copy
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pyro
+import scipy.optimize
+import torch
+from torch import Tensor
+from torch.distributions import biject_to
+
+from swarmssm.errors import InputError, WorkError
+from swarmssm.inference.collapsed import population_evidence
+from swarmssm.inference.filtering.evidence import Method, collapsed_evidence, linearization_points
+from swarmssm.inference.filtering.layouts import Layout, Points
+from swarmssm.inference.guides.parameters import GlobalGuide
+from swarmssm.inference.training import quiet_pyro
+from swarmssm.models import StateSpaceModel, SwarmBatch
+
+__all__ = ["Laplace", "laplace"]
+
+#: Rounds of maximising at held points and moving the points.
+ROUNDS = 8
+#: The maximum stands when a round moves it by less than this part of its standard deviations.
+SETTLED = 0.02
+#: Steps of L-BFGS in the first rounds, while the points are still far off.
+FIRST_STEPS = 10
+STEPS = 60
+#: Difference for the Hessian, on the unconstrained scale.
+DIFFERENCE = 1e-3
+#: Least curvature that is believed: a standard deviation of 10 on the unconstrained scale.
+LEAST_CURVATURE = 1e-2
+#: The objective where a filter breaks down, so that a line search turns back.
+OUT_OF_BOUNDS = 1e15
+
+
+@dataclass(frozen=True)
+class Laplace:
+    r"""Normal approximation of the posterior on the unconstrained scale.
+
+    Attributes
+    ----------
+    names
+        Full names of the parameters with a prior, in the order of ``loc``.
+    loc
+        Most probable values, unconstrained and in one vector: the mode of the density over the
+        unconstrained scale.
+    scale_tril
+        Lower Cholesky factor of the covariance.
+    values
+        Full name -> value at ``loc``.
+    log_joint
+        :math:`\log p(x, \theta)` there, with the Jacobian of the unconstrained scale.
+    log_evidence
+        :math:`\log p(x)` by Laplace's method, in nats, windows weighted.
+    points
+        Where the model was linearised at last; ``None`` if it was linearised as the filter went.
+    rounds
+        How often they were moved.
+    """
+
+    names: tuple[str, ...]
+    loc: Tensor
+    scale_tril: Tensor
+    values: dict[str, Tensor]
+    log_joint: float
+    log_evidence: float
+    points: Points | None
+    rounds: int
+
+    def fill(self, guide: GlobalGuide) -> None:
+        """Give the posterior to a guide of kind ``"multivariate"`` of the same model.
+
+        Raises
+        ------
+        ValueError
+            If the guide is of another kind, or over other parameters.
+        """
+        if guide.kind != "multivariate" or tuple(guide.names) != self.names:
+            raise ValueError("a guide of kind 'multivariate' of the same model is needed")
+        if not self.names:
+            return
+        auto = guide.auto
+        scale = self.scale_tril.diagonal()
+        auto.loc.data = self.loc.to(auto.loc)
+        auto.scale = scale.to(auto.loc)
+        auto.scale_tril = (self.scale_tril / scale.unsqueeze(-1)).to(auto.loc)
+
+
+def laplace(
+    model: StateSpaceModel,
+    batch: SwarmBatch,
+    *,
+    method: Method = "iterated",
+    layout: Layout = "auto",
+    start: Mapping[str, Tensor] | None = None,
+    callback: Callable[[int, float], None] | None = None,
+) -> Laplace:
+    """Fit all parameters of a model by Laplace's method.
+
+    The evidence of the windows times the priors is maximised by L-BFGS on the unconstrained scale.
+    With ``method="iterated"`` the points of linearisation are held meanwhile, and moved to the
+    new posterior path afterwards, until neither moves. The covariance is the inverse of the
+    Hessian by central differences of the gradient; curvatures that are not positive are
+    replaced by their size, and by that of a standard deviation of 10 where there is none.
+
+    Parameters that the model learns without prior (:class:`torch.nn.Parameter`) are maximised over
+    together with the others and left at the maximum; the covariance is that at their values.
+
+    Parameters
+    ----------
+    model
+        With an emission.
+    batch
+        All windows to fit; weighted and scaled as in the ELBO.
+    method, layout
+        As in :func:`swarmssm.inference.filtering.collapsed_evidence`.
+    start
+        Values to begin with, full name -> value; those left out begin at the prior's median.
+    callback
+        Called after each evaluation with its number and the negative log-density.
+
+    Raises
+    ------
+    InputError
+        If the model has nothing to fit, or states that are not hidden.
+    WorkError
+        If no maximum is found: the evidence breaks down or is not finite where it begins.
+    """
+    if model.emission is None:
+        raise InputError("model: its states are observed exactly; there is nothing to sum out.")
+    with quiet_pyro():
+        problem = _Problem(model, batch, method, layout, start or {}, callback)
+        return problem.solve()
+
+
+class _Problem:
+    """The log-density over one vector: unconstrained parameters, then learned ones."""
+
+    def __init__(
+        self,
+        model: StateSpaceModel,
+        batch: SwarmBatch,
+        method: Method,
+        layout: Layout,
+        start: Mapping[str, Tensor],
+        callback: Callable[[int, float], None] | None,
+    ) -> None:
+        self.original = model
+        self.model = copy.deepcopy(model).double()
+        self.batch = _as_double(batch)
+        self.method, self.layout, self.callback = method, layout, callback
+        guide = GlobalGuide(self.model, "multivariate")
+        self.names = tuple(guide.names)
+        middle = guide.median()
+        middle = {name: start.get(name, middle[name]).detach().double() for name in self.names}
+        self.transforms = self._transforms(middle)
+        self.shapes = {}
+        pieces = []
+        for name in self.names:
+            free = self.transforms[name].inv(middle[name])
+            self.shapes[name] = free.shape
+            pieces.append(free.reshape(-1))
+        self.learned = [p for p in self.model.parameters() if p.requires_grad]
+        pieces += [p.detach().reshape(-1) for p in self.learned]
+        if not pieces:
+            raise InputError("model: it has no parameter with a prior, and none to be learned.")
+        self.start = torch.cat(pieces).numpy()
+        self.number = sum(shape.numel() for shape in self.shapes.values())
+        self.evaluations = 0
+        self.points: Points | None = None
+        self.trouble: WorkError | None = None
+
+    def _transforms(self, values: Mapping[str, Tensor]) -> dict[str, Any]:
+        """Return the way from the unconstrained scale to each parameter."""
+        trace = self._prior(values)
+        return {name: biject_to(trace.nodes[name]["fn"].support) for name in self.names}
+
+    def _prior(self, values: Mapping[str, Tensor]) -> Any:
+        """Trace the parameters at given values."""
+        condition = pyro.poutine.condition(self.model.sample_globals, data=dict(values))
+        return pyro.poutine.trace(condition).get_trace()
+
+    def values(self, free: Tensor) -> tuple[dict[str, Tensor], Tensor]:
+        """Return the values of an unconstrained vector, and the log of the Jacobian."""
+        values, place = {}, 0
+        jacobian = free.new_zeros(())
+        for name in self.names:
+            shape = self.shapes[name]
+            part = free[place : place + shape.numel()].reshape(shape)
+            place += shape.numel()
+            transform = self.transforms[name]
+            values[name] = transform(part)
+            jacobian = jacobian + transform.log_abs_det_jacobian(part, values[name]).sum()
+        return values, jacobian
+
+    def log_joint(self, free: Tensor) -> Tensor:
+        """Return the log-density over the unconstrained scale, at the held points."""
+        values, jacobian = self.values(free)
+        prior = self._prior(values).log_prob_sum() if self.names else 0.0
+        evidence = collapsed_evidence(
+            self.model,
+            self.batch,
+            values,
+            method=self.method,
+            layout=self.layout,
+            points=self.points,
+        )
+        return population_evidence(self.batch, evidence) + prior + jacobian
+
+    def __call__(self, place: Any) -> tuple[float, Any]:
+        """Return the negative log-density and its gradient."""
+        free = torch.tensor(place[: self.number], requires_grad=True)
+        self._learn(place)
+        try:
+            total = -self.log_joint(free)
+        except WorkError as error:
+            self.trouble = error
+            return OUT_OF_BOUNDS, np.zeros_like(place)
+        inputs = [*([free] if self.number else []), *self.learned]
+        gradients = torch.autograd.grad(total, inputs, allow_unused=True)
+        flat = [
+            torch.zeros_like(value).reshape(-1) if gradient is None else gradient.reshape(-1)
+            for value, gradient in zip(inputs, gradients, strict=True)
+        ]
+        value, gradient = float(total.detach()), torch.cat(flat).numpy()
+        self.evaluations += 1
+        if self.callback is not None:
+            self.callback(self.evaluations, value)
+        if not (math.isfinite(value) and np.isfinite(gradient).all()):
+            return OUT_OF_BOUNDS, np.zeros_like(place)
+        return value, gradient
+
+    def _learn(self, place: Any) -> None:
+        """Put the values of learned parameters into the model."""
+        at = self.number
+        with torch.no_grad():
+            for parameter in self.learned:
+                part = torch.from_numpy(place[at : at + parameter.numel()])
+                parameter.copy_(part.reshape(parameter.shape))
+                at += parameter.numel()
+
+    def _move_points(self, place: Any) -> None:
+        """Linearise at the most probable path of the present values."""
+        if self.method == "iterated":
+            self._learn(place)
+            values, _ = self.values(torch.from_numpy(place[: self.number]))
+            self.points = linearization_points(
+                self.model, self.batch, values, layout=self.layout, start=self.points
+            )
+
+    def solve(self) -> Laplace:
+        """Maximise, and measure the curvature."""
+        place = self.start
+        # Round 1 finds the neighbourhood; then the posterior's own standard deviation is the unit.
+        unit = np.eye(len(place))
+        self._move_points(place)
+        if self(place)[0] >= OUT_OF_BOUNDS:
+            raise self.trouble or WorkError("The evidence is not finite at the first values.")
+        for rounds in range(1, ROUNDS + 1):
+            shift = self._maximise(place, unit, FIRST_STEPS if rounds == 1 else STEPS)
+            place = place + unit @ shift
+            settled = rounds > 1 and bool((np.abs(shift[: self.number]) < SETTLED).all())
+            self._move_points(place)
+            if settled or rounds == ROUNDS:
+                break
+            if rounds <= 2:
+                unit = self._unit(self._hessian(place))
+        return self._finish(place, rounds)
+
+    def _maximise(self, place: Any, unit: Any, steps: int) -> Any:
+        """Return how far the maximum at the held points is, in the given unit."""
+
+        def objective(shift: Any) -> tuple[float, Any]:
+            value, gradient = self(place + unit @ shift)
+            return value, unit.T @ gradient
+
+        options = {"maxiter": steps, "ftol": 1e-14, "gtol": 0.1 * SETTLED}
+        found = scipy.optimize.minimize(
+            objective, np.zeros_like(place), jac=True, method="L-BFGS-B", options=options
+        )
+        return found.x
+
+    def _hessian(self, place: Any) -> Any:
+        """Return the Hessian in the parameters with a prior, by differences of gradients."""
+        rows = []
+        for index in range(self.number):
+            step = np.zeros_like(place)
+            step[index] = DIFFERENCE
+            rows.append(self(place + step)[1] - self(place - step)[1])
+        hessian = np.array(rows)[:, : self.number].reshape(self.number, self.number)
+        return 0.25 * (hessian + hessian.T) / DIFFERENCE
+
+    def _unit(self, hessian: Any) -> Any:
+        """Return the matrix that makes standard deviations out of units."""
+        unit = np.eye(len(self.start))
+        unit[: self.number, : self.number] = np.linalg.cholesky(_inverse(hessian))
+        return unit
+
+    def _finish(self, place: Any, rounds: int) -> Laplace:
+        """Return the normal about the maximum, and leave learned parameters there."""
+        value, _ = self(place)
+        factor = np.linalg.cholesky(_inverse(self._hessian(place)))
+        self._learn(place)
+        mine = [p for p in self.original.parameters() if p.requires_grad]
+        with torch.no_grad():
+            for parameter, learned in zip(mine, self.learned, strict=True):
+                parameter.copy_(learned)
+            values, _ = self.values(torch.from_numpy(place[: self.number]))
+        volume = np.log(np.diag(factor)).sum() + 0.5 * self.number * math.log(2.0 * math.pi)
+        return Laplace(
+            self.names,
+            torch.from_numpy(place[: self.number].copy()),
+            torch.from_numpy(factor),
+            values,
+            -value,
+            -value + float(volume),
+            self.points,
+            rounds,
+        )
+
+
+def _inverse(hessian: Any) -> Any:
+    """Return the inverse of a Hessian made positive definite."""
+    values, vectors = np.linalg.eigh(hessian)
+    values = np.maximum(np.abs(values), LEAST_CURVATURE)
+    return (vectors / values) @ vectors.T
+
+
+def _as_double(batch: SwarmBatch) -> SwarmBatch:
+    """Return the batch with numbers of double precision."""
+    adjacency = batch.adjacency
+    return replace(
+        batch,
+        observations=batch.observations.double(),
+        adjacency=adjacency.double() if isinstance(adjacency, Tensor) else adjacency,
+        window_weight=batch.window_weight.double(),
+        controls=None if batch.controls is None else batch.controls.double(),
+    )

@@ -1,0 +1,159 @@
+"""What every fitted model can say of frames it has not seen."""
+
+import contextlib
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import torch
+
+from swarmssm.inference.data import Prepared
+
+__all__ = ["Beginning", "Predictor", "Trajectory", "seeded"]
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """Frames from which a model goes on.
+
+    Attributes
+    ----------
+    states
+        Scaled, ``(..., origin, individual, state)``; what stands at absent individuals is ignored.
+        A first dimension of draws is there where the states are drawn.
+    adjacency
+        ``(..., origin, individual, individual)``: the graph of the next step.
+    present
+        ``(..., origin, individual)`` of bool: who takes part; the others stay absent throughout.
+    unscaled
+        The states in the tracks' own units, NaN where absent.
+    parameters
+        For each draw the values of the parameters that have a posterior; ``None``: the middle of
+        the posterior.
+    """
+
+    states: torch.Tensor
+    adjacency: torch.Tensor
+    present: torch.Tensor
+    unscaled: torch.Tensor
+    parameters: tuple[Mapping[str, torch.Tensor], ...] | None = None
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Forecast steps.
+
+    Attributes
+    ----------
+    states
+        ``(..., step, individual, state)``, scaled; NaN where nobody is.
+    edge_probability
+        ``(..., step, individual, individual)``: that the edge is there after the step.
+    adjacency
+        Same shape, of bool: the graph on which the step after it runs.
+    """
+
+    states: torch.Tensor
+    edge_probability: torch.Tensor
+    adjacency: torch.Tensor
+
+
+class Predictor(ABC):
+    """A fitted model and guide, on tensors. States are scaled as the model sees them."""
+
+    @abstractmethod
+    def posterior(
+        self, prepared: Prepared, draws: int
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
+        """Return mean and standard deviation of the latent states, and draws of them.
+
+        Shapes ``(trial, time, individual, latent)`` and ``(draw, ...)``; NaN where the latent state
+        is not defined. All frames are used for each, those after it too.
+        """
+
+    @abstractmethod
+    def one_step(self, prepared: Prepared, *, sample: bool) -> tuple[torch.Tensor, torch.Tensor]:
+        """Predict from each frame, and those before it, the frame after.
+
+        Returns
+        -------
+        States ``(trial, time, individual, state)`` and edge probabilities, those of row t being of
+        frame t + 1; NaN where nothing can be said. Drawn, or at the mean.
+        """
+
+    @abstractmethod
+    def begin(
+        self,
+        prepared: Prepared,
+        trials: torch.Tensor,
+        rows: torch.Tensor,
+        draws: int,
+        *,
+        carry: bool = False,
+    ) -> Beginning:
+        """Return where a model stands at given frames, knowing these and those before alone.
+
+        Parameters
+        ----------
+        prepared
+            Tracks as the model sees them.
+        trials, rows
+            ``(origin,)``.
+        draws
+            Number of draws, in front; 0 for the mean.
+        carry
+            Whether individuals take part that are not seen in the frame itself, but were at most
+            :data:`swarmssm.inference.starting.MAX_CARRY` frames before.
+        """
+
+    @abstractmethod
+    def begin_at(self, states: torch.Tensor, adjacency: torch.Tensor) -> Beginning:
+        """Return a beginning at given states, all present.
+
+        Parameters
+        ----------
+        states
+            ``(origin, individual, state)`` in the tracks' own units.
+        adjacency
+            ``(origin, individual, individual)``.
+        """
+
+    @abstractmethod
+    def run(self, beginning: Beginning, steps: int, *, sample: bool) -> Trajectory:
+        """Go on freely.
+
+        Parameters
+        ----------
+        beginning
+            Where from.
+        steps
+            How many.
+        sample
+            Whether all that is random is drawn, or takes its mean.
+        """
+
+
+    def observe(self, states: torch.Tensor, beginning: Beginning) -> torch.Tensor:
+        """Draw what is seen of states, positions in front; states themselves, if seen exactly.
+
+        Parameters
+        ----------
+        states
+            ``(..., origin, step, individual, state)`` as :meth:`run` returns them.
+        beginning
+            That they came from.
+        """
+        return states
+
+
+@contextlib.contextmanager
+def seeded(seed: int | torch.Generator) -> Iterator[None]:
+    """Make torch's draws follow a seed or generator, and leave its global state as it was.
+
+    A generator is advanced, so that two calls with the same one differ.
+    """
+    if isinstance(seed, torch.Generator):
+        seed = int(torch.randint(2**62, (), generator=seed, device=seed.device))
+    with torch.random.fork_rng():
+        torch.manual_seed(seed)
+        yield

@@ -1,0 +1,284 @@
+"""Predictions of a state-space model: filter the history, then let the dynamics run."""
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import pyro
+import torch
+
+from swarmssm.errors import InputError
+from swarmssm.graphs import GraphRule, dense
+from swarmssm.inference.data import Prepared, frames_of
+from swarmssm.inference.guides import PathGuide
+from swarmssm.inference.prediction.base import Beginning, Predictor, Trajectory
+from swarmssm.inference.starting import MAX_CARRY
+from swarmssm.models import ObservedEdges, StateSpaceModel, StepInputs, SwarmBatch
+from swarmssm.models.parameters import priors_of
+from swarmssm.scaling import Scaler
+
+__all__ = ["StateSpacePredictor"]
+
+#: Draws that stand for an expectation where none are asked for.
+MEAN_DRAWS = 20
+#: Longest piece of a trial that is smoothed at once, and how far it looks beyond its ends.
+PIECE, MARGIN = 500, 50
+#: Elements of the largest tensor of one chunk of windows.
+CHUNK = 20_000_000
+
+Values = Mapping[str, torch.Tensor]
+
+
+@dataclass(frozen=True)
+class StateSpacePredictor(Predictor):
+    """The posterior of the states given the past, and the transition from there.
+
+    The posterior at a frame is the guide's, of the last state of a window of the history that ends
+    there: no later frame is looked at.
+
+    Attributes
+    ----------
+    model, guide
+        Fitted. The guide samples ``"states"`` and the parameters.
+    scaler, rule
+        Of the fit; without a rule a graph that came with the data stays as it was last seen.
+    window
+        Frames of history from which a state is filtered.
+    """
+
+    model: StateSpaceModel
+    guide: Callable[[SwarmBatch], Any]
+    scaler: Scaler
+    rule: GraphRule | None
+    window: int
+
+    def posterior(
+        self, prepared: Prepared, draws: int
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
+        """Smooth whole trials; see :meth:`Predictor.posterior`.
+
+        A trial that is too long for one window is cut into pieces that overlap.
+        """
+        if self.model.emission is None:
+            hidden = ~prepared.mask.unsqueeze(-1)
+            exact = prepared.observations.masked_fill(hidden, torch.nan)
+            repeated = exact.expand(draws, *exact.shape) if draws else None
+            return exact, torch.zeros_like(exact), repeated
+        means, sds, states = [], [], []
+        for batch, kept in self._pieces(prepared):
+            # The parameters of a draw would have to be those of the pieces before: few draws of
+            # them are not worth a seam, so each piece draws its own.
+            drawn, _ = self._draw(batch, max(draws, MEAN_DRAWS))
+            drawn = drawn.masked_fill(~batch.present.unsqueeze(-1), torch.nan)[:, :, kept]
+            means.append(drawn.mean(0))
+            sds.append(drawn.std(0))
+            states.append(drawn[:draws])
+        whole = torch.cat(states, 2) if draws else None
+        return torch.cat(means, 1), torch.cat(sds, 1), whole
+
+    def _pieces(self, prepared: Prepared) -> Iterator[tuple[SwarmBatch, slice]]:
+        """Yield overlapping windows over whole trials, and which of their frames to keep."""
+        trials = torch.arange(len(prepared.mask))
+        num_times = prepared.mask.shape[1]
+        count = max(1, math.ceil((num_times - 2 * MARGIN) / PIECE))
+        for index in range(count):
+            first = 0 if index == 0 else MARGIN + index * PIECE
+            last = num_times if index == count - 1 else MARGIN + (index + 1) * PIECE
+            start, stop = max(0, first - MARGIN), min(num_times, last + MARGIN)
+            batch = frames_of(prepared, trials, torch.full_like(trials, start), stop - start)
+            yield batch, slice(first - start, last - start)
+
+    def one_step(self, prepared: Prepared, *, sample: bool) -> tuple[torch.Tensor, torch.Tensor]:
+        """Filter up to each frame and take one step; see :meth:`Predictor.one_step`."""
+        num_trials, num_times, individuals = prepared.mask.shape
+        trials = torch.arange(num_trials).repeat_interleave(num_times)
+        rows = torch.arange(num_times).repeat(num_trials)
+        size = max(1, CHUNK // (self.window * individuals * max(individuals, 16)))
+        states, edges = [], []
+        for trial, row in zip(torch.split(trials, size), torch.split(rows, size), strict=True):
+            beginning = self.begin(prepared, trial, row, int(sample))
+            path = self.run(beginning, 1, sample=sample)
+            lead = (0,) if sample else ()
+            states.append(path.states[(*lead, slice(None), 0)])
+            edges.append(path.edge_probability[(*lead, slice(None), 0)])
+        shape = (num_trials, num_times)
+        whole = [torch.unflatten(torch.cat(part), 0, shape) for part in (states, edges)]
+        return whole[0], whole[1]
+
+    @torch.no_grad()
+    def begin(
+        self,
+        prepared: Prepared,
+        trials: torch.Tensor,
+        rows: torch.Tensor,
+        draws: int,
+        *,
+        carry: bool = False,
+    ) -> Beginning:
+        """Filter the histories that end at given frames; see :meth:`Predictor.begin`."""
+        batch = self._histories(prepared, trials, rows, carry)
+        present = batch.present[:, -1]
+        graph = dense(batch.adjacency, batch.observations.dtype)[:, -1]
+        shape = (draws,) * bool(draws)
+        values: tuple[Values, ...] | None = None
+        if self.model.emission is None:
+            last = batch.observations[:, -1]
+            states, values = last.expand(*shape, *last.shape), self._draw_parameters(draws)
+        elif draws:
+            states, values = self._draw(batch, draws, last=True)
+        else:
+            drawn, _ = self._draw(batch, MEAN_DRAWS, last=True, middle=True)
+            states = drawn.mean(0)
+        present = present.expand(states.shape[:-1])
+        graph = self._graph(states, present, graph.expand(*present.shape, present.shape[-1]))
+        own = self.scaler.inverse_tensor(states.to(torch.float64))
+        own = own.masked_fill(~present.unsqueeze(-1), torch.nan)
+        return Beginning(states, graph, present, own, values)
+
+    def begin_at(self, states: torch.Tensor, adjacency: torch.Tensor) -> Beginning:
+        """Return a beginning at given states, all present."""
+        scaled = self.scaler.transform_tensor(states).to(torch.float32)
+        present = torch.ones(states.shape[:-1], dtype=torch.bool)
+        return Beginning(scaled, adjacency.to(torch.float32), present, states)
+
+    def _histories(
+        self, prepared: Prepared, trials: torch.Tensor, rows: torch.Tensor, carry: bool
+    ) -> SwarmBatch:
+        """Return windows that end at given frames.
+
+        With ``carry``, who was seen at most :data:`MAX_CARRY` frames before the end is there.
+        """
+        exact = self.model.emission is None
+        length = 1 if exact else self.window
+        batch = frames_of(prepared, trials, rows - (length - 1), length)
+        reach = MAX_CARRY + 1 if carry else 1
+        recent = batch.mask[:, -reach:].any(1, keepdim=True)
+        come = batch.mask.long().cumsum(1) > 0
+        return replace(batch, present=come & recent)
+
+    def _draw(
+        self, batch: SwarmBatch, draws: int, *, last: bool = False, middle: bool = False
+    ) -> tuple[torch.Tensor, tuple[Values, ...] | None]:
+        """Draw paths ``(draw, batch, time, individual, state)`` and the parameters they go with.
+
+        Parameters
+        ----------
+        batch
+            Windows.
+        draws
+            How many.
+        last
+            Whether the last frame alone is wanted.
+        middle
+            Whether parameters take the middle of their posterior.
+        """
+        names = priors_of(self.model)
+        kept = slice(-1, None) if last else slice(None)
+        paths, values = [], []
+        with torch.no_grad(), pyro.validation_enabled(False):
+            if isinstance(self.guide, PathGuide) and (middle or not names):
+                fixed = self._middle()
+                many = batch.select(torch.arange(len(batch)).repeat(draws))
+                path, _ = self.guide.path(many, fixed)
+                path = torch.unflatten(path, 0, (draws, len(batch)))[:, :, kept]
+                return (path[:, :, 0] if last else path), None
+            for _ in range(draws):
+                trace = pyro.poutine.trace(self.guide).get_trace(batch)
+                path = trace.nodes["states"]["value"][:, kept]
+                paths.append(path[:, 0] if last else path)
+                values.append({name: trace.nodes[name]["value"] for name in names})
+        return torch.stack(paths), tuple(values) if names else None
+
+    def _draw_parameters(self, draws: int) -> tuple[Values, ...] | None:
+        """Draw the parameters alone, where states are known."""
+        names = priors_of(self.model)
+        if not names or not draws:
+            return None
+        if isinstance(self.guide, PathGuide):
+            return tuple(self.guide.parameters_guide() for _ in range(draws))
+        raise InputError("guide: one of exactly observed states must be a PathGuide.")
+
+    def _middle(self) -> Values:
+        """Return the parameters in the middle of their posterior."""
+        return self.guide.parameters_guide.median() if isinstance(self.guide, PathGuide) else {}
+
+    @torch.no_grad()
+    def run(self, beginning: Beginning, steps: int, *, sample: bool) -> Trajectory:
+        """Let the transition run; see :meth:`Predictor.run`.
+
+        Later graphs are those of the model's own edges, or made by the rule from the states.
+        """
+        if beginning.parameters is None:
+            return self._run(beginning, self._middle(), steps, sample)
+        parts = [
+            self._run(
+                Beginning(
+                    beginning.states[draw],
+                    beginning.adjacency[draw],
+                    beginning.present[draw],
+                    beginning.unscaled[draw],
+                ),
+                values,
+                steps,
+                sample,
+            )
+            for draw, values in enumerate(beginning.parameters)
+        ]
+        return Trajectory(
+            *(
+                torch.stack([getattr(part, name) for part in parts])
+                for name in ("states", "edge_probability", "adjacency")
+            )
+        )
+
+    @torch.no_grad()
+    def observe(self, states: torch.Tensor, beginning: Beginning) -> torch.Tensor:
+        """Draw positions with tracking noise; see :meth:`Predictor.observe`."""
+        emission = self.model.emission
+        if emission is None or emission.observes not in ("positions", "states"):
+            return states
+        if beginning.parameters is None:
+            return self._observe(states, self._middle())
+        parts = zip(states, beginning.parameters, strict=True)
+        return torch.stack([self._observe(path, values) for path, values in parts])
+
+    def _observe(self, states: torch.Tensor, values: Values) -> torch.Tensor:
+        """Draw observations with given parameters."""
+        if self.model.emission is None:
+            return states
+        gone = states.isnan()
+        with self.model.fixed(values), pyro.validation_enabled(False):
+            seen = self.model.emission(states.masked_fill(gone, 0.0)).sample()
+        whole = torch.cat([seen, states[..., seen.shape[-1] :]], dim=-1)
+        return whole.masked_fill(gone, torch.nan)
+
+    def _run(self, start: Beginning, values: Values, steps: int, sample: bool) -> Trajectory:
+        """Run with given parameters."""
+        gone = ~start.present.unsqueeze(-1)
+        states, graph = start.states.masked_fill(gone, 0.0), start.adjacency.to(start.states.dtype)
+        frames, graphs = [], []
+        with self.model.fixed(values), pyro.validation_enabled(False):
+            for _ in range(steps):
+                following = self.model.step(states, StepInputs(graph, None, start.present))
+                moved = following.rsample() if sample else following.mean
+                states = moved.masked_fill(gone, 0.0)
+                graph = self._graph(states, start.present, graph)
+                frames.append(states.masked_fill(gone, torch.nan))
+                graphs.append(graph)
+        adjacency = torch.stack(graphs, dim=-3)
+        return Trajectory(torch.stack(frames, dim=-3), adjacency, adjacency.bool())
+
+    def _graph(
+        self, states: torch.Tensor, present: torch.Tensor, graph: torch.Tensor
+    ) -> torch.Tensor:
+        """Return the graph of states; the one before where no rule is known."""
+        if not isinstance(self.model.edges, ObservedEdges):
+            own = self.model.edges(states, StepInputs(graph, None, present))
+            if isinstance(own, torch.Tensor):
+                return own.to(states.dtype)
+        if self.rule is None:
+            return graph
+        positions, velocities = self.scaler.inverse_tensor(states).chunk(2, dim=-1)
+        seen = positions.masked_fill(~present.unsqueeze(-1), torch.nan)
+        return self.rule(seen, velocities).to(states.dtype)

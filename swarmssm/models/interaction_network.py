@@ -1,0 +1,117 @@
+"""A gated graph network on what individuals see of each other."""
+
+import torch
+from torch import nn
+
+from swarmssm.graphs import Pairs
+from swarmssm.models.layers import check_sizes, fan_in_uniform_
+
+__all__ = ["InteractionNetwork"]
+
+#: Neighbours by which a sum over neighbours is divided, so that it is of the size of one message.
+USUAL_DEGREE = 6
+
+
+class InteractionNetwork(nn.Module):
+    r"""Gated graph recurrence, with what neighbours do summed and averaged.
+
+    .. math::
+        h_i &\leftarrow \mathrm{relu}(W_0 x_i + b_0) \\
+        m_{ij} &= \mathrm{relu}(W_e e_{ij} + W_r h_i + W_s h_j + b_e) \\
+        u_i &= [x_i, \textstyle\sum_j e_{ij}, \mathrm{mean}_j\, e_{ij}, n_i,
+                \sum_j m_{ij}, \mathrm{mean}_j\, m_{ij}] \\
+        h_i &\leftarrow (1 - z_i) \odot h_i + z_i \odot \mathrm{relu}(W_c [h_i, u_i] + b_c),
+        \qquad z_i = \sigma(W_z [h_i, u_i] + b_z)
+
+    for each round with weights of its own; in the first, messages are of :math:`e_{ij}` alone. The
+    result is a linear function of the last :math:`h_i` and of the :math:`[h_i, u_i]` it was made of:
+    what is linear in the features is learned at once, and the layers learn the rest. Nothing but
+    ReLU, so that walls and thresholds are few hinges.
+
+    Parameters
+    ----------
+    own_features
+        Features x of an individual.
+    pair_features
+        Features e of a pair, of which the result may be linear in the first ``linear_features``.
+    linear_features
+        See there.
+    out_features
+        Of the result, which is 0 before training.
+    width
+        Features of h and of messages.
+    num_rounds
+        Rounds of messages.
+    usual_degree
+        By which sums and :math:`n_i` are divided.
+
+    Raises
+    ------
+    ValueError
+        If a size is no positive whole number.
+    """
+
+    def __init__(
+        self,
+        own_features: int,
+        pair_features: int,
+        linear_features: int,
+        out_features: int,
+        *,
+        width: int = 64,
+        num_rounds: int = 1,
+        usual_degree: float = USUAL_DEGREE,
+    ) -> None:
+        super().__init__()
+        check_sizes(width=width, num_rounds=num_rounds)
+        self.linear_features = linear_features
+        self.usual_degree = usual_degree
+        plain = own_features + 2 * linear_features + 1
+        self.enter = nn.Linear(own_features, width)
+        self.pair = nn.ModuleList(nn.Linear(pair_features, width) for _ in range(num_rounds))
+        self.ends = nn.ModuleList(
+            nn.Linear(width, 2 * width, bias=False) for _ in range(num_rounds - 1)
+        )
+        self.update = nn.ModuleList(
+            nn.Linear(plain + 3 * width, 2 * width) for _ in range(num_rounds)
+        )
+        fan_in_uniform_(self)
+        # Hinges through random places, for features of size 1: a wall is rarely at the origin.
+        with torch.no_grad():
+            through = torch.randn(width, own_features)
+            self.enter.bias.copy_(-(self.enter.weight * through).sum(-1))
+        self.leave = nn.Linear(width, out_features)
+        self.straight = nn.Linear(plain + 3 * width, out_features, bias=False)
+        for layer in (self.leave, self.straight):
+            for parameter in layer.parameters():
+                nn.init.zeros_(parameter)
+
+    def forward(self, own: torch.Tensor, pair: torch.Tensor, pairs: Pairs) -> torch.Tensor:
+        """Return the result, ``(..., individual, out_features)``.
+
+        Parameters
+        ----------
+        own
+            ``(..., individual, own_features)``.
+        pair
+            Of all pairs, or of all edges, as ``pairs`` lays them out.
+        pairs
+            The graph.
+        """
+        degree = pairs.degree(own)
+        share = 1.0 / degree.clamp(min=1.0)
+        features = pairs.sum(pair[..., : self.linear_features])
+        scale = 1.0 / self.usual_degree
+        plain = torch.cat([own, features * scale, features * share, degree * scale], dim=-1)
+        hidden = torch.relu(self.enter(own))
+        for place, (message, update) in enumerate(zip(self.pair, self.update, strict=True)):
+            sent = message(pair)
+            if place > 0:
+                to, of = self.ends[place - 1](hidden).chunk(2, dim=-1)
+                sent = sent + pairs.receivers(to) + pairs.senders(of)
+            summed = pairs.sum(torch.relu(sent))
+            together = torch.cat([plain, hidden, summed * scale, summed * share], dim=-1)
+            gate, candidate = update(together).chunk(2, dim=-1)
+            hidden = torch.lerp(hidden, torch.relu(candidate), torch.sigmoid(gate))
+        result: torch.Tensor = self.leave(hidden) + self.straight(together)
+        return result

@@ -1,0 +1,148 @@
+"""Typical sizes in tracks, from which models take their units and default priors."""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from swarmssm.errors import InputError
+from swarmssm.kinematics import estimate_noise
+from swarmssm.tracks import Array, states_of, with_trials
+
+__all__ = ["Scales", "scales_of"]
+
+#: A tracking noise of less than this part of a mean step cannot be told from none.
+LEAST_NOISE = 1e-4
+
+
+@dataclass(frozen=True)
+class Scales:
+    """What a model may know of the tracks before it sees them.
+
+    Attributes
+    ----------
+    space
+        Number of spatial dimensions, 2 or 3.
+    individuals
+        Their number.
+    dt
+        Seconds from one frame to the next.
+    centre, low, high
+        Mean, least and greatest position on each axis.
+    length
+        Standard deviation of positions about the centre, over all axes.
+    speed
+        Root mean square of speed.
+    slow, fast
+        Second and ninety-eighth percentile of speed.
+    spacing
+        Median distance to the nearest neighbour.
+    step
+        Root mean square of what a coordinate of the velocity changes by in one frame.
+    noise
+        Estimated standard deviation of the tracking noise of a coordinate; 0 if it cannot be told.
+    """
+
+    space: int
+    individuals: int
+    dt: float
+    centre: tuple[float, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    length: float
+    speed: float
+    slow: float
+    fast: float
+    spacing: float
+    step: float
+    noise: float
+
+    @property
+    def state_dim(self) -> int:
+        """Number of features of a physical state: positions and velocities."""
+        return 2 * self.space
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()}
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> "Scales":
+        """Undo :meth:`to_dict`."""
+        plain: dict[str, Any] = {}
+        for name, value in values.items():
+            if name in ("space", "individuals"):
+                plain[name] = int(value)
+            elif isinstance(value, list):
+                plain[name] = tuple(float(part) for part in value)
+            else:
+                plain[name] = float(value)
+        return cls(**plain)
+
+
+def scales_of(tracks: xr.Dataset) -> Scales:
+    """Measure the scales of tracks.
+
+    Parameters
+    ----------
+    tracks
+        The training part.
+
+    Raises
+    ------
+    InputError
+        If nobody is seen in two consecutive frames.
+    """
+    tracks = with_trials(tracks)
+    states = states_of(tracks)
+    space = states.shape[-1] // 2
+    position, velocity = states[..., :space], states[..., space:]
+    rows = position.reshape(-1, space)
+    speeds = np.linalg.norm(velocity, axis=-1)
+    if not np.isfinite(speeds).any():
+        raise InputError(
+            "tracks: no individual is seen in two consecutive frames of the training part."
+        )
+    centre = np.nanmean(rows, axis=0)
+    slow, fast = np.nanpercentile(speeds, [2, 98])
+    change = np.diff(velocity, axis=1)
+    step = float(np.sqrt(np.nanmean(change**2))) if np.isfinite(change).any() else 0.0
+    length = float(np.sqrt(np.nanmean((rows - centre) ** 2)))
+    return Scales(
+        space=space,
+        individuals=int(tracks.sizes["individual"]),
+        dt=1.0 / float(tracks.attrs["fps"]),
+        centre=tuple(centre.tolist()),
+        low=tuple(np.nanmin(rows, axis=0).tolist()),
+        high=tuple(np.nanmax(rows, axis=0).tolist()),
+        length=length,
+        speed=float(np.sqrt(np.nanmean(speeds**2))),
+        slow=float(slow),
+        fast=float(fast),
+        spacing=_spacing(position, length),
+        step=step,
+        noise=_noise(position, float(tracks.attrs["fps"])),
+    )
+
+
+def _noise(position: Array, fps: float) -> float:
+    """Return the tracking noise, or 0 where the estimate is the least that it gives to any."""
+    noise = float(estimate_noise(position, fps)[1])
+    steps = np.abs(np.diff(position, axis=-3))
+    moved = float(np.nanmean(steps)) if np.isfinite(steps).any() else 0.0
+    return noise if noise > LEAST_NOISE * moved else 0.0
+
+
+def _spacing(position: Array, length: float) -> float:
+    """Return the median distance to the nearest neighbour, over at most 200 frames."""
+    frames = position.reshape(-1, *position.shape[-2:])
+    frames = frames[np.linspace(0, len(frames) - 1, min(200, len(frames))).astype(int)]
+    nearest = []
+    for frame in frames:
+        seen = frame[np.isfinite(frame).all(-1)]
+        if len(seen) > 1:
+            apart = np.linalg.norm(seen[:, None] - seen[None], axis=-1)
+            np.fill_diagonal(apart, np.inf)
+            nearest.append(apart.min(-1))
+    return float(np.median(np.concatenate(nearest))) if nearest else length

@@ -1,0 +1,147 @@
+"""What a model makes up: parameters, paths and observations, as tensors."""
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import pyro
+import torch
+
+from swarmssm.errors import InputError
+from swarmssm.graphs import EdgeList, Graph
+from swarmssm.models.batch import SwarmBatch
+
+__all__ = ["Simulation", "generator", "seeded", "stack"]
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """Swarms drawn from a model.
+
+    Attributes
+    ----------
+    parameters
+        Full name -> value of every parameter with a prior.
+    states
+        ``(batch, time, individual, state)``; 0 where nobody is present.
+    observations
+        ``(batch, time, individual, observation)``; 0 where nobody is present.
+    present
+        ``(batch, time, individual)`` of bool.
+    adjacency
+        ``(batch, time, individual, individual)`` of 0 and 1, or a list of edges: the graph that
+        the states moved on; ``None`` where there was none.
+    controls
+        ``(batch, time, control)``, or ``None``.
+
+    Those of several draws of the parameters (:meth:`swarmssm.models.StateSpaceModel.sample_prior`)
+    have a leading dimension ``draw``, but for ``present`` and ``controls``, which are given.
+    """
+
+    parameters: dict[str, torch.Tensor]
+    states: torch.Tensor
+    observations: torch.Tensor
+    present: torch.Tensor
+    adjacency: Graph | None
+    controls: torch.Tensor | None = None
+
+    def draw(self, index: int) -> "Simulation":
+        """Return one of several draws."""
+        graph = self.adjacency
+        if isinstance(graph, EdgeList):
+            graph = graph[torch.tensor([index])].squeeze(0)
+        elif graph is not None:
+            graph = graph[index]
+        return Simulation(
+            {name: value[index] for name, value in self.parameters.items()},
+            self.states[index],
+            self.observations[index],
+            self.present,
+            graph,
+            self.controls,
+        )
+
+    def batch(self) -> SwarmBatch:
+        """Return the observations as data for a model; everybody present was seen.
+
+        Raises
+        ------
+        InputError
+            If there are several draws: choose one first (:meth:`draw`).
+        """
+        if self.observations.dim() != 4:
+            raise InputError("simulation: it holds several draws. Choose one, .draw(0).batch().")
+        graph = self.adjacency
+        if graph is None:
+            count = self.present.shape[-1]
+            graph = self.observations.new_zeros(*self.present.shape, count)
+        weight = self.observations.new_ones(len(self.present))
+        return SwarmBatch(
+            self.observations,
+            self.present,
+            graph,
+            weight,
+            len(weight),
+            self.present,
+            self.controls,
+        )
+
+
+def stack(parts: Sequence[Simulation]) -> Simulation:
+    """Put draws of the same swarm together, with a leading dimension."""
+    first = parts[0]
+    graph = first.adjacency
+    graphs: list[Any] = [part.adjacency for part in parts]
+    if isinstance(graph, EdgeList):
+        graph = EdgeList(
+            torch.cat([own.receiver + place * own.num_nodes for place, own in enumerate(graphs)]),
+            torch.cat([own.sender + place * own.num_nodes for place, own in enumerate(graphs)]),
+            (len(parts), *graph.leading),
+            graph.individuals,
+        )
+    elif graph is not None:
+        graph = torch.stack(graphs)
+    return Simulation(
+        {name: torch.stack([part.parameters[name] for part in parts]) for name in first.parameters},
+        torch.stack([part.states for part in parts]),
+        torch.stack([part.observations for part in parts]),
+        first.present,
+        graph,
+        first.controls,
+    )
+
+
+def generator(seed: int | torch.Generator) -> torch.Generator:
+    """Return a generator from a seed.
+
+    Raises
+    ------
+    InputError
+        If the seed is no whole number from 0 and no generator.
+    """
+    if isinstance(seed, torch.Generator):
+        return seed
+    if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed < 2**63:
+        raise InputError(f"seed: it must be a whole number from 0 or a generator, not {seed!r}.")
+    return torch.Generator().manual_seed(seed)
+
+
+@contextlib.contextmanager
+def seeded(seed: int | torch.Generator) -> Iterator[None]:
+    """Let Pyro draw from a seed of its own, and leave nothing behind: no draws, no parameters.
+
+    Parameters
+    ----------
+    seed
+        See :func:`generator`; one that is given is moved on.
+    """
+    number = int(torch.randint(2**62, (), generator=generator(seed)))
+    with (
+        torch.random.fork_rng(),
+        torch.no_grad(),
+        # In Pyro's own store, models with parts of the same names would share their parameters.
+        pyro.settings.context(module_local_params=True),
+    ):
+        torch.manual_seed(number)
+        yield

@@ -1,0 +1,423 @@
+"""The swarm as a state-space model: hidden states that move each other, seen with noise."""
+
+import contextlib
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Self
+
+import pyro
+import pyro.distributions as dist
+import torch
+from pyro.distributions import TorchDistribution
+from pyro.nn import PyroModule, pyro_method
+
+from swarmssm.errors import InputError
+from swarmssm.graphs import EdgeList, Graph, GraphRule
+from swarmssm.models.base import SwarmModel
+from swarmssm.models.batch import SwarmBatch
+from swarmssm.models.edges import Edges, LatentEdges, ObservedEdges
+from swarmssm.models.emissions.base import Emission
+from swarmssm.models.layers import check_sizes
+from swarmssm.models.markov import MarkovChain, StepInputs
+from swarmssm.models.parameters import adopt, convert_priors, fixed, priors_of
+from swarmssm.models.simulation import Simulation, generator, seeded, stack
+from swarmssm.models.transitions.base import Transition
+
+__all__ = ["StateSpaceModel"]
+
+
+class StateSpaceModel(SwarmModel):
+    r"""Deep state-space model with explicit dynamics on a graph.
+
+    .. math::
+        p(\theta)\, p(z_1) \prod_{t=2}^T p(z_t \mid z_{t-1}, G_{t-1}, \theta)
+        \prod_{t=1}^T p(x_t \mid z_t, \theta)
+
+    The path :math:`z_{1:T}` of a window is the one latent site ``"states"``, a
+    :class:`~swarmssm.models.MarkovChain` of event shape ``(time, individual, state)``;
+    what was seen is the site ``"observations"``. Frames in which an individual was not observed
+    have no term: they are marginalised. Individuals enter and leave as ``batch.present`` says.
+    Every parameter with a prior is a site of its full name, such as ``"transition.gain"``.
+
+    In a mini-batch of B windows out of M the terms of the windows count M / B times, and the priors
+    once.
+
+    Parameters
+    ----------
+    initial
+        Called without arguments, returns the distribution of a first state
+        (:class:`~swarmssm.models.InitialStates`).
+    transition
+        Law of motion.
+    emission
+        Law of observation; ``None``: states are observed exactly, so that ``"states"`` is an
+        observed site and the transition is scored directly, on the steps of which both ends were
+        seen. The first frame after a gap is scored as that of an individual that enters.
+    edges
+        Where the graph comes from; absent, it is the observed one.
+
+    Raises
+    ------
+    InputError
+        In a call, if the parts do not fit each other or the batch, with both shapes.
+    """
+
+    scaler = "none"
+
+    def __init__(
+        self,
+        initial: PyroModule,
+        transition: Transition,
+        emission: Emission | None,
+        edges: Edges | None = None,
+    ) -> None:
+        super().__init__(transition.state_dim)
+        self.initial = initial
+        self.transition = transition
+        self.emission = emission
+        self.edges = ObservedEdges() if edges is None else edges
+        adopt(self)
+
+    @property
+    def observes(self) -> str:
+        """Which features of the tracks are observed."""
+        return "states" if self.emission is None else self.emission.observes
+
+    def augmented(self, batch: SwarmBatch) -> SwarmBatch:
+        """Return the windows, or an image in which the law of motion looks the same."""
+        return self.transition.augmented(batch)
+
+    def _apply(self, fn: Callable[[torch.Tensor], torch.Tensor], recurse: bool = True) -> Self:
+        """Change type or device of everything, the numbers in the priors too."""
+        super()._apply(fn, recurse)
+        convert_priors(self, fn)
+        return self
+
+    @pyro_method  # type: ignore[untyped-decorator]
+    def sample_globals(self) -> dict[str, torch.Tensor]:
+        """Sample every parameter that has a prior; itself a Pyro model of these sites alone.
+
+        Returns
+        -------
+        Full name -> value.
+
+        Raises
+        ------
+        InputError
+            If a value that was put in its place (by a guide, by ``poutine.condition``) has another
+            shape than the prior.
+        """
+        values = {}
+        for name in priors_of(self):
+            place, _, attribute = name.rpartition(".")
+            module = self.get_submodule(place)
+            value = getattr(module, attribute)
+            prior = module._pyro_samples[attribute]
+            if isinstance(prior, dist.Distribution) and value.shape != prior.event_shape:
+                value = _without_plates(name, value, prior.event_shape)
+                self._pyro_context.set(name, value)
+            values[name] = value
+        return values
+
+    @contextlib.contextmanager
+    def fixed(self, values: Mapping[str, torch.Tensor]) -> Iterator[None]:
+        """Let parameters with priors have given values for a while, by full name.
+
+        Raises
+        ------
+        InputError
+            If there is no parameter of such a name with a prior.
+        """
+        self._check_names(values)
+        with fixed(self, values):
+            yield
+
+    def _check_names(self, values: Mapping[str, torch.Tensor], *, complete: bool = False) -> None:
+        """Refuse values of parameters that have no prior, and parameters without a value."""
+        names = priors_of(self)
+        unknown = sorted(set(values) - set(names))
+        missing = [name for name in names if name not in values] if complete else []
+        if unknown:
+            known = ", ".join(names) if names else "none at all"
+            raise InputError(
+                f"values: {', '.join(unknown)} is no parameter with a prior. Those there are: "
+                f"{known}."
+            )
+        if missing:
+            raise InputError(f"values: {', '.join(missing)} is missing; it has a prior.")
+
+    def step(self, states: torch.Tensor, inputs: StepInputs) -> TorchDistribution:
+        """Return the distribution of the next states, on the graph that the edges say."""
+        return self.transition(states, self.edges.complete(states, inputs))
+
+    def chain(self, batch: SwarmBatch, values: Mapping[str, torch.Tensor]) -> MarkovChain:
+        """Return the prior of the paths of a batch of windows, batch shape ``(batch,)``.
+
+        Parameters
+        ----------
+        batch
+            Windows; of the observations only shape and type matter.
+        values
+            Those of all parameters with a prior, by full name. They hold whenever the chain is
+            sampled or scored.
+
+        Raises
+        ------
+        InputError
+            If a value is missing or unknown, or first states are of another size.
+        """
+        there, inputs = batch.present, batch.steps()
+        if self.emission is None:
+            there = batch.mask
+            inputs = StepInputs(inputs.adjacency, inputs.controls, there[:, :-1])
+        return self._chain(there, inputs, values, self.edges)
+
+    def _chain(
+        self,
+        there: torch.Tensor,
+        inputs: StepInputs,
+        values: Mapping[str, torch.Tensor],
+        edges: Edges,
+        first: torch.Tensor | None = None,
+    ) -> MarkovChain:
+        """Return the prior of paths of those who are there, ``(batch, time, individual)``."""
+        self._check_names(values, complete=True)
+
+        def step(states: torch.Tensor, inputs: StepInputs) -> TorchDistribution:
+            with fixed(self, values):
+                return self.transition(states, edges.complete(states, inputs))
+
+        if first is None:
+            with fixed(self, values):
+                initial = self.initial()
+        else:
+            initial = dist.Delta(first, event_dim=1)
+        if initial.event_shape != (self.state_dim,):
+            raise InputError(
+                f"initial: first states must have the shape of the transition's, "
+                f"({self.state_dim},), and they have {tuple(initial.event_shape)}."
+            )
+        batch, times, individuals = there.shape
+        return MarkovChain(
+            initial,
+            step,
+            times,
+            individuals,
+            inputs=inputs,
+            mask=there,
+            batch_shape=torch.Size([batch]),
+        )
+
+    def forward(self, batch: SwarmBatch) -> torch.Tensor:
+        """Score a batch of windows; to be run under a Pyro handler. Returns the paths."""
+        values = self.sample_globals()
+        rows = torch.arange(len(batch), device=batch.mask.device)
+        with (
+            pyro.plate("windows", batch.population, subsample=rows, dim=-1),
+            pyro.poutine.scale(scale=batch.window_weight),
+        ):
+            chain = self.chain(batch, values)
+            if self.emission is None:
+                self._check_features(batch, self.state_dim)
+                states: torch.Tensor = pyro.sample("states", chain, obs=batch.observations)
+                return states
+            states = pyro.sample("states", chain)
+            observed = self.emission(states)
+            if len(observed.event_shape) != 1:
+                raise InputError(
+                    "emission: it must return a distribution of event shape (observation,), and "
+                    f"this one has {tuple(observed.event_shape)}. .to_event(1) makes features an "
+                    "event."
+                )
+            self._check_features(batch, observed.event_shape[0])
+            observed = observed.mask(batch.mask).to_event(2)
+            pyro.sample("observations", observed, obs=batch.observations)
+        return states
+
+    def _check_features(self, batch: SwarmBatch, features: int) -> None:
+        """Refuse observations of another number of features than the model's."""
+        given = tuple(batch.observations.shape)
+        if given[-1] != features:
+            raise InputError(
+                f"observations: the model observes {features} features of each individual "
+                f"({self.observes}), and the batch is (batch, time, individual, observation) = "
+                f"{given}."
+            )
+
+    def simulate(
+        self,
+        num_steps: int,
+        num_individuals: int,
+        *,
+        num_windows: int = 1,
+        values: Mapping[str, torch.Tensor] | None = None,
+        graph: Graph | GraphRule | str | None = None,
+        controls: torch.Tensor | None = None,
+        present: torch.Tensor | None = None,
+        first: torch.Tensor | None = None,
+        seed: int | torch.Generator = 0,
+    ) -> Simulation:
+        """Draw parameters from their priors, and swarms that move by them.
+
+        Parameters
+        ----------
+        num_steps
+            T, the number of frames.
+        num_individuals
+            In each swarm.
+        num_windows
+            How many swarms, all with the same parameters.
+        values
+            Of parameters with a prior, by full name; the others are drawn.
+        graph
+            Who sees whom: ``(time, individual, individual)`` or ``(batch, time, individual,
+            individual)``; a list of edges with leading shape ``(batch, time)``; or a rule such as
+            ``"radius:2.5"`` that makes the graph of the states as they go. Absent, the model's own
+            edges say it, and a model with observed edges has none: nobody sees anybody.
+        controls
+            ``(batch, time, control)`` or ``(time, control)``.
+        present
+            Who is there, ``(batch, time, individual)`` or ``(time, individual)`` of bool; absent,
+            all are.
+        first
+            First states, ``(batch, individual, state)`` or ``(individual, state)``, also of who
+            enters later; absent, they are drawn.
+        seed
+            Whole number or generator.
+
+        Raises
+        ------
+        InputError
+            If a size is no positive whole number, or a shape or name does not fit.
+        """
+        try:
+            check_sizes(
+                num_steps=num_steps, num_individuals=num_individuals, num_windows=num_windows
+            )
+        except ValueError as error:
+            raise InputError(f"simulate: {error}.") from None
+        edges = self.edges
+        if isinstance(graph, str | GraphRule):
+            edges, graph = LatentEdges(graph), None
+        shape = (num_windows, num_steps, num_individuals)
+        there = torch.ones(shape, dtype=torch.bool)
+        if present is not None:
+            there = _fitting("present", present, shape).bool()
+        if isinstance(graph, torch.Tensor):
+            graph = _fitting("graph", graph, (*shape, num_individuals))
+        elif graph is not None and (*graph.leading, graph.individuals) != shape:
+            raise InputError(
+                f"graph: it must be of frames and individuals {shape}, and it is of "
+                f"{(*graph.leading, graph.individuals)}."
+            )
+        if controls is not None:
+            controls = _fitting("controls", controls, (*shape[:2], controls.shape[-1]))
+        if first is not None:
+            first = _fitting("first", first, (num_windows, num_individuals, self.state_dim))
+        with seeded(seed):
+            inputs = StepInputs(graph, controls, there)
+            drawn: Simulation = self._simulate(there, inputs, values, edges, first)
+        return drawn
+
+    def sample_prior(
+        self,
+        like: SwarmBatch | tuple[int, int],
+        num: int = 1,
+        *,
+        graph: Graph | GraphRule | str | None = None,
+        seed: int | torch.Generator = 0,
+    ) -> Simulation:
+        """Draw parameters and swarms from the prior, each swarm with parameters of its own.
+
+        Parameters
+        ----------
+        like
+            Windows whose sizes, presence, controls and (if edges are observed) graph are taken, or
+            ``(num_steps, num_individuals)`` of one.
+        num
+            How many draws.
+        graph
+            As in :meth:`simulate`; absent, that of the windows.
+        seed
+            Whole number or generator.
+
+        Returns
+        -------
+        Simulation with a leading dimension ``draw``.
+
+        Raises
+        ------
+        InputError
+            If a size is no positive whole number, or a shape does not fit.
+        """
+        try:
+            check_sizes(num=num)
+        except ValueError as error:
+            raise InputError(f"sample_prior: {error}.") from None
+        options: dict[str, Any] = {"graph": graph}
+        if isinstance(like, SwarmBatch):
+            sizes = (like.num_times, like.num_individuals)
+            options |= {"num_windows": len(like), "present": like.present}
+            options |= {"controls": like.controls}
+            options["graph"] = like.adjacency if graph is None else graph
+        else:
+            sizes = like
+        source = generator(seed)
+        return stack([self.simulate(*sizes, seed=source, **options) for _ in range(num)])
+
+    @pyro_method  # type: ignore[untyped-decorator]
+    def _simulate(
+        self,
+        there: torch.Tensor,
+        inputs: StepInputs,
+        values: Mapping[str, torch.Tensor] | None,
+        edges: Edges,
+        first: torch.Tensor | None,
+    ) -> Simulation:
+        """Draw from the model; inputs have a value for every frame, the last one included."""
+        self._check_names(values or {})
+        with fixed(self, values or {}):
+            drawn = self.sample_globals()
+        chain = self._chain(there, _without_last(inputs), drawn, edges, first)
+        states = chain.sample()
+        with fixed(self, drawn):
+            observations = states if self.emission is None else self.emission(states).sample()
+            graph = edges(states, inputs)
+        return Simulation(
+            {name: value.detach().clone() for name, value in drawn.items()},
+            states,
+            observations.masked_fill(~there.unsqueeze(-1), 0.0),
+            there,
+            graph,
+            inputs.controls,
+        )
+
+
+def _without_plates(name: str, value: torch.Tensor, shape: torch.Size) -> torch.Tensor:
+    """Return a value without the dimensions of size 1 that Predictive gives it for plates."""
+    place = value.dim() - len(shape)
+    if place < 0 or value.shape[place:] != shape or value.numel() != shape.numel():
+        raise InputError(
+            f"{name}: a value must have the shape of its prior, {tuple(shape)}, and this one has "
+            f"{tuple(value.shape)}. Many draws at once are made one by one: parallel=False in "
+            "Predictive, vectorize_particles=False in an ELBO."
+        )
+    return value.reshape(shape)
+
+
+def _without_last(inputs: StepInputs) -> StepInputs:
+    """Return the inputs of the steps from those of the frames, ``(batch, time, ...)``."""
+    graph = inputs.adjacency
+    if isinstance(graph, EdgeList):
+        graph = graph.select(1, 0, graph.leading[1] - 1)
+    elif graph is not None:
+        graph = graph[:, :-1]
+    controls = None if inputs.controls is None else inputs.controls[:, :-1]
+    return StepInputs(graph, controls, None if inputs.present is None else inputs.present[:, :-1])
+
+
+def _fitting(name: str, value: torch.Tensor, shape: tuple[int, ...]) -> torch.Tensor:
+    """Return a tensor that may lack the dimension of the windows in full shape."""
+    given = tuple(value.shape)
+    if given not in (shape, shape[1:], (1, *shape[1:])):
+        raise InputError(f"{name}: its shape must be {shape}, and it is {given}.")
+    return value.expand(shape)

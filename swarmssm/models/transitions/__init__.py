@@ -1,0 +1,21 @@
+"""Laws of motion: how the swarm goes from one frame to the next."""
+
+from swarmssm.models.transitions.base import KinematicTransition, Linearization, Transition
+from swarmssm.models.transitions.boids import BoidsTransition
+from swarmssm.models.transitions.graph import GraphTransition
+from swarmssm.models.transitions.hierarchy import Hierarchical
+from swarmssm.models.transitions.linear import LinearTransition
+from swarmssm.models.transitions.linear_force import LinearForceTransition
+from swarmssm.models.transitions.soft_limits import SoftSpeedLimits
+
+__all__ = [
+    "BoidsTransition",
+    "GraphTransition",
+    "Hierarchical",
+    "KinematicTransition",
+    "LinearForceTransition",
+    "LinearTransition",
+    "Linearization",
+    "SoftSpeedLimits",
+    "Transition",
+]

@@ -1,0 +1,214 @@
+"""What every transition offers: the distribution of the next states, and its linearisation."""
+
+from typing import NamedTuple
+
+import torch
+from pyro.distributions import MultivariateStudentT, TorchDistribution
+from pyro.nn import PyroModule
+from torch.func import jacfwd, vmap
+
+from swarmssm.models.batch import SwarmBatch
+from swarmssm.models.kinematic import Kinematic
+from swarmssm.models.markov import StepInputs
+
+__all__ = ["KinematicTransition", "Linearization", "Transition", "covariance_of"]
+
+
+class Linearization(NamedTuple):
+    r"""Next states as an affine function of the whole swarm:
+    :math:`z' \approx m' + J (z - m) + \epsilon,\; \epsilon_i \sim N(0, Q_i)`.
+
+    Attributes
+    ----------
+    mean
+        :math:`m'`, ``(..., individual, state)``.
+    jacobian
+        :math:`J`, ``(..., individual, state, individual, state)``: ``[i, a, j, b]`` is what state b
+        of j does to state a of i.
+    noise
+        :math:`Q`, ``(..., individual, state, state)``.
+    """
+
+    mean: torch.Tensor
+    jacobian: torch.Tensor
+    noise: torch.Tensor
+
+
+class Transition(PyroModule):  # type: ignore[misc]
+    """Law of motion :math:`p(z_t | z_{t-1}, G_{t-1})` of a swarm.
+
+    A subclass writes :meth:`forward`. Parameters are attributes, given with
+    :func:`swarmssm.models.parameters.assign` (or as :class:`pyro.nn.PyroSample`) and broadcast
+    against ``(..., individual)``: a scalar for all, ``(individual,)`` for each.
+
+    Parameters
+    ----------
+    state_dim
+        Features of a state.
+    """
+
+    def __init__(self, state_dim: int) -> None:
+        super().__init__()
+        self.state_dim = state_dim
+
+    @property
+    def free_dim(self) -> int:
+        """Number of features of a next state that noise moves; the rest follow from them."""
+        return self.state_dim
+
+    @property
+    def is_smooth(self) -> bool:
+        """Whether next states have a density over their free features, without atoms."""
+        return True
+
+    def forward(self, states: torch.Tensor, inputs: StepInputs) -> TorchDistribution:
+        """Return the distribution of the next states.
+
+        Parameters
+        ----------
+        states
+            ``(..., individual, state)``.
+        inputs
+            Graph, controls and presence at the beginning of the step, whose leading dimensions
+            broadcast against those of ``states``.
+
+        Returns
+        -------
+        Batch shape ``(..., individual)``, event shape ``(state,)``.
+        """
+        raise TypeError(f"{type(self).__name__} must define forward(states, inputs)")
+
+    def augmented(self, batch: SwarmBatch) -> SwarmBatch:
+        """Return windows for a step of training: themselves, or where the law of motion has
+        symmetries, an image of them at random.
+        """
+        return batch
+
+    def free(self, states: torch.Tensor) -> torch.Tensor:
+        """Return the features that noise moves, ``(..., free_dim)``."""
+        return states
+
+    def path(self, first: torch.Tensor, free: torch.Tensor) -> torch.Tensor:
+        """Return the path with given first states and free features of all later ones.
+
+        Parameters
+        ----------
+        first
+            ``(..., individual, state)``.
+        free
+            ``(..., time - 1, individual, free_dim)``.
+
+        Returns
+        -------
+        ``(..., time, individual, state)``.
+        """
+        return torch.cat([first.unsqueeze(-3), free], dim=-3)
+
+    def linearize(
+        self,
+        mean: torch.Tensor,
+        inputs: StepInputs,
+        covariance: torch.Tensor | None = None,
+    ) -> Linearization:
+        """Linearise at given states of the swarm.
+
+        By forward-mode differentiation of the mean. A subclass that knows its derivatives, or
+        how to average over ``covariance``, does it better.
+
+        Parameters
+        ----------
+        mean
+            ``(..., individual, state)``.
+        inputs
+            As in :meth:`forward`.
+        covariance
+            How unsure the states are, ``(..., individual, state, state)``, each individual's own;
+            for transitions with kinks. Ignored here.
+        """
+        here = self(mean, inputs)
+        shape = mean.shape
+        flat = mean.reshape(-1, *shape[-2:])
+
+        def next_mean(states: torch.Tensor, *parts: torch.Tensor) -> torch.Tensor:
+            following: torch.Tensor = self(states, inputs.rebuild(parts)).mean
+            return following
+
+        jacobian = vmap(jacfwd(next_mean))(flat, *inputs.tensors(shape[:-2]))
+        return Linearization(
+            here.mean,
+            jacobian.reshape(*shape, *shape[-2:]),
+            covariance_of(here),
+        )
+
+
+class KinematicTransition(Transition):
+    """A transition in which bodies move with their next velocity: ``p' = p + dt v'``.
+
+    A subclass writes :meth:`velocity`.
+
+    Parameters
+    ----------
+    space
+        Number of spatial dimensions.
+    dt
+        Seconds from one frame to the next.
+    """
+
+    def __init__(self, space: int, dt: float) -> None:
+        super().__init__(2 * space)
+        self.space = space
+        self.dt = dt
+
+    @property
+    def free_dim(self) -> int:
+        """Velocities are free, positions follow."""
+        return self.space
+
+    def velocity(
+        self, positions: torch.Tensor, velocities: torch.Tensor, inputs: StepInputs
+    ) -> TorchDistribution:
+        """Return the distribution of the next velocities.
+
+        Parameters
+        ----------
+        positions, velocities
+            ``(..., individual, space)``.
+        inputs
+            As in :meth:`Transition.forward`.
+
+        Returns
+        -------
+        Batch shape ``(..., individual)``, event shape ``(space,)``.
+        """
+        raise TypeError(
+            f"{type(self).__name__} must define velocity(positions, velocities, inputs)"
+        )
+
+    def forward(self, states: torch.Tensor, inputs: StepInputs) -> Kinematic:
+        """Return the distribution of the next states."""
+        positions, velocities = states[..., : self.space], states[..., self.space :]
+        return Kinematic(positions, self.velocity(positions, velocities, inputs), self.dt)
+
+    def free(self, states: torch.Tensor) -> torch.Tensor:
+        """Return the velocities."""
+        return states[..., self.space :]
+
+    def path(self, first: torch.Tensor, free: torch.Tensor) -> torch.Tensor:
+        """Return the path with given first states and later velocities."""
+        first = first.unsqueeze(-3)
+        positions = first[..., : self.space] + self.dt * torch.cumsum(free, dim=-3)
+        return torch.cat([first, torch.cat([positions, free], dim=-1)], dim=-3)
+
+
+def covariance_of(distribution: TorchDistribution) -> torch.Tensor:
+    """Return the covariance matrices of a distribution over vectors."""
+    # What Pyro calls the covariance of a Student's t is its squared scale.
+    if isinstance(distribution, MultivariateStudentT):
+        degrees = distribution.df[..., None, None]
+        factor = torch.where(degrees > 2, degrees / (degrees - 2), torch.inf)
+        scaled: torch.Tensor = distribution.covariance_matrix * factor
+        return scaled
+    if hasattr(distribution, "covariance_matrix"):
+        matrix: torch.Tensor = distribution.covariance_matrix
+        return matrix
+    return torch.diag_embed(distribution.variance)

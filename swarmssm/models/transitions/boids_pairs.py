@@ -1,0 +1,170 @@
+"""What pairs of boids do to each other, and its derivative, in closed form."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from swarmssm.models.transitions.perception import any_in_sight, sight
+
+__all__ = ["PairLaw", "SocialForce", "WallPush", "wall_push"]
+
+
+class SocialForce(NamedTuple):
+    """The sum of the three social terms, and how it changes with what a pair differs by.
+
+    Attributes
+    ----------
+    force
+        ``(..., individual, space)``.
+    pairs
+        ``(..., individual, space, individual, state)``: ``[i, a, j, b]`` is the derivative of the
+        force's coordinate a on i by feature b of ``state_j - state_i``.
+    own
+        ``(..., individual)``: derivative by one's own velocity beside that, the same on each axis.
+    """
+
+    force: Tensor
+    pairs: Tensor
+    own: Tensor
+
+
+class PairLaw(NamedTuple):
+    r"""Gains and forms of cohesion, separation and alignment.
+
+    Attributes
+    ----------
+    cohesion, separation, alignment
+        Gains, which broadcast against ``(..., individual)``.
+    exponent, softening
+        Of the separation, see :func:`swarmssm.forces.separation`.
+    radius, width
+        Of sight, see :mod:`swarmssm.models.transitions.perception`; the width ``None`` for a sharp
+        cut-off, the radius ``None`` for none at all.
+    relative
+        Whether alignment is with the neighbours' mean velocity minus one's own, or with the mean.
+    """
+
+    cohesion: Tensor
+    separation: Tensor
+    alignment: Tensor
+    exponent: Tensor
+    softening: float
+    radius: Tensor | None
+    width: Tensor | None
+    relative: bool
+
+    def __call__(self, states: Tensor, adjacency: Tensor) -> SocialForce:
+        """Return force and derivatives at given states.
+
+        Parameters
+        ----------
+        states
+            ``(..., individual, state)``: positions and velocities.
+        adjacency
+            ``(..., individual, individual)``, without those who are absent.
+        """
+        space = states.shape[-1] // 2
+        kc, ks, ka = (g[..., None] for g in (self.cohesion, self.separation, self.alignment))
+        power = self.exponent[..., None] + 1.0
+        adjacency = adjacency.to(states.dtype)
+        # (..., i, j, state): what j has more than i.
+        away = states.unsqueeze(-3) - states.unsqueeze(-2)
+        offset = away[..., :space]
+        squared = offset.square().sum(-1)
+        apart = squared > 0
+        squared = torch.where(apart, squared, 1.0)
+        if self.radius is None:
+            weight = adjacency
+            total = weight.sum(-1, keepdim=True)
+            some = (total > 0).to(states.dtype)
+        else:
+            width = None if self.width is None else self.width[..., None]
+            distance = torch.where(apart, squared.sqrt(), 0.0)
+            share, hazard = sight(distance, self.radius[..., None], width)
+            weight = adjacency * share
+            total = weight.sum(-1, keepdim=True)
+            some = any_in_sight((adjacency * hazard).sum(-1, keepdim=True), width)
+        total = torch.where(total > 0, total, 1.0)
+        pull = some * weight / total
+
+        softened = squared + self.softening**2
+        strength = torch.where(apart, softened ** (-0.5 * power), 0.0)
+        push = ks * weight * strength
+        # Means over neighbours of all features of the difference: cohesion and alignment.
+        mean = (pull.unsqueeze(-2) @ away).squeeze(-2)
+        force = (
+            kc * mean[..., :space]
+            + ka * mean[..., space:]
+            - (push.unsqueeze(-2) @ offset).squeeze(-2)
+        )
+        if not self.relative:
+            force = force + ka * some * states[..., space:]
+
+        eye = torch.eye(space, dtype=states.dtype, device=states.device)[:, None, :]
+        # Layout (..., i, a, j, b).
+        along = offset.mT.unsqueeze(-1)
+        twist = (power * push / softened)[..., None, :, None]
+        by_position = (kc * pull - push)[..., None, :, None] * eye + (
+            twist * along * offset.unsqueeze(-3)
+        )
+        if self.radius is not None and self.width is not None:
+            # Here weights change with distance too. Of the changes of the weighted mean, of the
+            # probability of any neighbour, and of the push:
+            change = -weight / self.width[..., None] / distance.where(apart, 1.0)
+            change = torch.where(apart, change, 0.0)
+            fade = 1.0 - share
+            centre = mean / some.clamp(min=torch.finfo(some.dtype).tiny)
+            gain = torch.cat([kc.expand_as(mean[..., :space]), ka.expand_as(mean[..., space:])], -1)
+            lever = (some * fade / total).unsqueeze(-1) * (away - centre.unsqueeze(-2))
+            none = 1.0 - some
+            alone = centre if self.relative else centre + _velocity_part(states)
+            lever = gain.unsqueeze(-2) * (lever + (none * alone).unsqueeze(-2))
+            lever = lever[..., :space] + lever[..., space:]
+            lever = lever - (ks * fade * strength).unsqueeze(-1) * offset
+            by_position = by_position + lever.mT.unsqueeze(-1) * (
+                change.unsqueeze(-1) * offset
+            ).unsqueeze(-3)
+        by_velocity = (ka * pull)[..., None, :, None] * eye
+        shape = torch.broadcast_shapes(by_position.shape, by_velocity.shape)  # type: ignore[no-untyped-call]
+        pairs = torch.cat([by_position.expand(shape), by_velocity.expand(shape)], -1)
+        own = torch.zeros_like(some) if self.relative else ka * some
+        return SocialForce(force, pairs, own.squeeze(-1))
+
+
+def _velocity_part(states: Tensor) -> Tensor:
+    """Return the states with positions of 0."""
+    space = states.shape[-1] // 2
+    return torch.cat([torch.zeros_like(states[..., :space]), states[..., space:]], -1)
+
+
+class WallPush(NamedTuple):
+    """Push of a wall and its derivative on each axis, ``(..., individual, space)``."""
+
+    mean: Tensor
+    slope: Tensor
+
+
+def wall_push(offset: Tensor, half_width: Tensor, variance: Tensor | None) -> WallPush:
+    """Return the push of :func:`swarmssm.forces.wall`, or its expectation, and the derivative.
+
+    Parameters
+    ----------
+    offset
+        Positions from the middle of the box, ``(..., individual, space)``.
+    half_width
+        Broadcasts against it.
+    variance
+        Of the positions, ``(..., individual, space)``. ``None``: they are known.
+    """
+    over, under = offset - half_width, -offset - half_width
+    if variance is None:
+        slope = -((over > 0) | (under > 0)).to(offset.dtype)
+        return WallPush(under.clamp(min=0.0) - over.clamp(min=0.0), slope)
+    # Of a normal x with deviation s: E max(x, 0) = x Phi(x / s) + s phi(x / s).
+    deviation = (variance + (1e-6 * half_width).square()).sqrt()
+    over, under = over / deviation, under / deviation
+    right, left = torch.special.ndtr(over), torch.special.ndtr(under)
+    density = torch.exp(-0.5 * under**2) - torch.exp(-0.5 * over**2)
+    push = under * left - over * right + density * 0.3989422804014327
+    return WallPush(deviation * push, -(left + right))
