@@ -1,7 +1,7 @@
 """How long a step of stochastic variational inference of the graph model takes, four ways.
 
-The model is ``GraphTransition`` under positions seen with noise, the guide ``SmoothingGuide``. A step
-is the negative ELBO, its gradient, and one step of Adam:
+The model is ``GraphTransition`` under positions seen with noise, the guide ``SmoothingGuide``. A
+step is the negative ELBO, its gradient, and one step of Adam:
 
 *library*
     The path of states is one sample site, and all steps are scored in one call.
@@ -49,7 +49,7 @@ from swarmssm.graphs import EdgeList, GraphRule
 from swarmssm.inference.guides import find_guide
 from swarmssm.inference.training import quiet_pyro
 from swarmssm.models import InitialStates, PositionEmission, Scales, StateSpaceModel, SwarmBatch
-from swarmssm.models.transitions.graph import GraphTransition
+from swarmssm.models.transitions import GraphTransition
 
 NOISE, STEP, SPEED, SPACE = 0.03, 0.1, 1.0, 2
 #: Difference allowed between ELBOs in float64, as a share of the guide's own log-density: sixteen
@@ -204,7 +204,9 @@ def check(batch: SwarmBatch, options: argparse.Namespace) -> None:
     """Stop if the three do not agree for the same draws, in float64."""
     torch.set_default_dtype(torch.float64)
     try:
-        graph = batch.adjacency if isinstance(batch.adjacency, EdgeList) else batch.adjacency.double()
+        graph = batch.adjacency
+        if isinstance(graph, Tensor):
+            graph = graph.double()
         batch = SwarmBatch.of(batch.observations.double(), batch.mask, graph)
         compare(Library(scales_for(batch), options), batch)
     finally:
@@ -288,9 +290,7 @@ def has_compiler() -> bool:
     return any(shutil.which(name) for name in (os.environ.get("CXX", ""), "g++", "clang++") if name)
 
 
-def race(
-    batch: SwarmBatch, options: argparse.Namespace, names: list[str]
-) -> dict[str, float]:
+def race(batch: SwarmBatch, options: argparse.Namespace, names: list[str]) -> dict[str, float]:
     """Return the median seconds of a step of each, taken in turn."""
     clock = time.process_time if options.threads == 1 else time.perf_counter
     entered = contestants(scales_for(batch), batch, options, names)
@@ -324,7 +324,9 @@ def main() -> None:
     parser.add_argument("--no-compile", action="store_true")
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
-    versions = f"swarmssm {swarmssm.__version__}, torch {torch.__version__}, pyro {pyro.__version__}"
+    versions = (
+        f"swarmssm {swarmssm.__version__}, torch {torch.__version__}, pyro {pyro.__version__}"
+    )
     print(f"{datetime.now(UTC):%Y-%m-%d}; {machine()}; {versions}")
     print(
         f"{options.individuals} individuals, radius {options.radius}, "

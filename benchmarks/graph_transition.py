@@ -2,9 +2,10 @@
 
 Simulated boids whose states are known exactly (``boids.npz``: 20 trials of 1000 frames, 10
 individuals, soft walls, speeds clamped), so that the law of motion is scored directly, as the
-model ``graph-ssm`` with ``observed="states"`` does. It gets the radius of the graph, and is not
-told where the walls are, that there are limits of speed, or what the forces look like. The first 14
-trials are trained on, the last 3 tested.
+model ``graph-ssm`` with ``observed="states"`` does. It is told the radius of the graph, and that
+the arena is square, but not around what; not where walls are, that there are limits of speed, or
+what the forces look like. The first 14 trials are trained on, the next 3 choose the epoch, and the
+last 3 are tested.
 
 One step
     (4.2) on states scaled to [0, 1] per feature on the training trials, at all frames from the
@@ -12,33 +13,28 @@ One step
 k steps
     Mean squared error of the scaled states at step k of the mean path, from starts every 25 frames.
 Free run
-    200 steps from 5 starts in each test trial; AMD (4.4) and AVD (4.5), and in brackets the mean
-    absolute error over time.
+    200 steps of the mean path from every 25th frame; AMD (4.4) and AVD (4.5), and the mean absolute
+    error of either over time. From five starts in each trial, as rivals were measured, the error of
+    AMD of the true step itself is between .083 and .104, depending on which five.
 
 Beside it stand the true step without noise, which is the floor, and constant velocity.
 
-    python benchmarks/graph_transition.py --threads 2
-    python benchmarks/graph_transition.py --threads 2 --fraction 0.1
+    python benchmarks/graph_transition.py
+    python benchmarks/graph_transition.py --fraction 0.1
 """
 
 import argparse
-import math
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import pyro
 import torch
-from pyro.infer import Trace_ELBO
 
-from swarmssm.graphs import EdgeList, radius_graph
-from swarmssm.inference.guides import ParameterGuide
-from swarmssm.inference.training import quiet_pyro
+from swarmssm.graphs import radius_graph
+from swarmssm.inference import fit
 from swarmssm.metrics import amd, avd, mse
-from swarmssm.models import StateSpaceModel, StepInputs, SwarmBatch
-from swarmssm.models.ready.graph import graph_ssm
-from swarmssm.models.scales import scales_of
+from swarmssm.models import StepInputs
 from swarmssm.tracks import make_tracks
 
 DATA = Path(__file__).resolve().parents[2] / "shared/data/boids_benchmark/boids.npz"
@@ -48,8 +44,6 @@ TRAIN, TEST = slice(0, 14), slice(17, 20)
 HISTORY = 49
 HORIZONS = (1, 5, 10, 20, 50)
 FREE_STEPS = 200
-#: Steps of the optimiser until the learning rate is there.
-WARM_UP = 50
 
 Step = Callable[[torch.Tensor], torch.Tensor]
 
@@ -88,36 +82,6 @@ def true_step(states: torch.Tensor) -> torch.Tensor:
     return complete(states, moved / speed * speed.clamp(0.6, 1.2))
 
 
-def windows(states: np.ndarray, frames: int) -> SwarmBatch:
-    """Return windows that share their last frame with the next one's first."""
-    count = (states.shape[1] - 1) // (frames - 1)
-    index = (frames - 1) * np.arange(count)[:, None] + np.arange(frames)
-    cut = torch.from_numpy(states[:, index].reshape(-1, frames, *states.shape[2:]))
-    mask = torch.ones(cut.shape[:-1], dtype=torch.bool)
-    return SwarmBatch.of(cut, mask, EdgeList.from_dense(graph_of(cut)))
-
-
-def train(model: StateSpaceModel, data: SwarmBatch, options: argparse.Namespace) -> None:
-    """Maximise the ELBO, here the log-density of the states, by Adam."""
-    elbo = Trace_ELBO()(model, ParameterGuide.for_model(model))
-    parameters = list(elbo.parameters())
-    optimizer = torch.optim.Adam(parameters, lr=options.lr, fused=True)
-    coordinates = data.observations[:, 1:].numel()
-    total = options.epochs * math.ceil(len(data) / options.batch)
-    step = 0
-    for _ in range(options.epochs):
-        for part in torch.split(torch.randperm(len(data)), options.batch):
-            rate = min(1.0, (step + 1) / WARM_UP) * 0.5 * (1 + math.cos(math.pi * step / total))
-            for group in optimizer.param_groups:
-                group["lr"] = options.lr * rate
-            optimizer.zero_grad(set_to_none=True)
-            loss = elbo(model.augmented(data.select(part))) / coordinates
-            loss.backward()
-            torch.nn.utils.clip_grad_norm_(parameters, 1.0)
-            optimizer.step()
-            step += 1
-
-
 class Score:
     """The table's numbers, from the test trials."""
 
@@ -138,15 +102,14 @@ class Score:
         predicted[:, 1:] = self.scaled(step(truth[:, :-1]))
         predicted[:, :HISTORY] = np.nan
         row = {"one step": mse(self.scaled(truth), predicted)}
-        starts = np.arange(HISTORY, num_frames - max(HORIZONS), 25)
+        starts = np.arange(HISTORY, num_frames - 1 - max(HORIZONS), 25)
         states = truth[:, starts]
         for k in range(1, max(HORIZONS) + 1):
             states = step(states)
             if k in HORIZONS:
                 error = self.scaled(states) - self.scaled(truth[:, starts + k])
                 row[f"{k} steps"] = float((error**2).mean())
-        # The free runs are spread over the whole trial.
-        starts = np.linspace(HISTORY, num_frames - 1 - FREE_STEPS, 5).astype(int)
+        starts = np.arange(HISTORY, num_frames - FREE_STEPS, 25)
         states, run = truth[:, starts], []
         for _ in range(FREE_STEPS):
             states = step(states)
@@ -179,30 +142,37 @@ def main() -> None:
         options.epochs = round(24 * min(10.0, 1.0 / options.fraction))
     torch.set_num_threads(options.threads)
     states = np.load(options.data)["X"]
-    kept = states[TRAIN, : round(options.fraction * states.shape[1])]
-    score = Score(states)
-
+    kept = states[:, : round(options.fraction * states.shape[1])].astype(float)
+    tracks = make_tracks(kept[..., :2], fps=1 / DT, velocity=kept[..., 2:])
     cpu, wall = time.process_time(), time.perf_counter()
-    pyro.set_rng_seed(options.seed)
-    tracks = make_tracks(
-        kept[..., :2].astype(float), fps=1 / DT, velocity=kept[..., 2:].astype(float)
+    run = fit(
+        "graph-ssm",
+        "parameters",
+        tracks,
+        model_options={
+            "width": options.width,
+            "rounds": options.rounds,
+            "symmetries": options.symmetries,
+            "noise": "constant",
+            "tails": "gaussian",
+            "observed": "states",
+        },
+        graph=f"radius:{RADIUS}",
+        split_by="trial",
+        window=options.window,
+        batch_windows=options.batch,
+        epochs=options.epochs,
+        lr=options.lr,
+        seed=options.seed,
     )
-    with quiet_pyro():
-        model = graph_ssm(
-            scales_of(tracks),
-            width=options.width,
-            rounds=options.rounds,
-            symmetries=options.symmetries,
-            observed="states",
-        )
-        train(model, windows(kept, options.window), options)
     cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
+    model = run.model
 
     def learned(states: torch.Tensor) -> torch.Tensor:
-        inputs = StepInputs(EdgeList.from_dense(graph_of(states)))
-        mean: torch.Tensor = model.step(states, inputs).mean
+        mean: torch.Tensor = model.step(states, StepInputs(graph_of(states))).mean
         return mean
 
+    score = Score(states)
     rows = {
         "true step": score.row(true_step),
         "graph network": score.row(learned),

@@ -1,9 +1,9 @@
 """Memory and time of one step of inference in swarms of thousands.
 
-A step is the ELBO of ``GraphTransition`` with ``SmoothingGuide``, its gradient, and one step of Adam,
-on one window of positions seen with noise; the graph is a list of edges, about ``--neighbors`` each
-within a radius. Individuals wander at constant density, so that a larger swarm is the same, only
-larger.
+A step is the ELBO of ``GraphTransition`` with ``SmoothingGuide``, its gradient, and one step of
+Adam, on one window of positions seen with noise; the graph is a list of edges, about
+``--neighbors`` each within a radius. Individuals wander at constant density, so that a larger swarm
+is the same, only larger.
 
 Each size runs in a process of its own, whose greatest resident memory is what the operating system
 says. Sizes are taken in turn, round after round, so that a busy machine slows all; the time of a
@@ -41,7 +41,7 @@ from swarmssm.models import (
     StateSpaceModel,
     SwarmBatch,
 )
-from swarmssm.models.transitions.graph import GraphTransition
+from swarmssm.models.transitions import GraphTransition
 
 NOISE = 0.03
 STEP = 0.1
@@ -49,7 +49,7 @@ SPEED = 1.0
 
 
 def wander(individuals: int, frames: int, density: float) -> torch.Tensor:
-    """Return positions ``(1, time, individual, 2)`` of a swarm of given density, seen with noise."""
+    """Return noisy positions ``(1, time, individual, 2)`` of a swarm of given density."""
     generator = torch.Generator().manual_seed(0)
     side = math.sqrt(individuals / density)
     start = side * torch.rand(individuals, 2, generator=generator)

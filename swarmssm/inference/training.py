@@ -269,9 +269,9 @@ class _Run:
             for group in self.optimizer.param_groups:
                 group["lr"] = self.settings.lr * 0.5 * (1.0 + math.cos(math.pi * done))
         self.optimizer.zero_grad(set_to_none=True)
+        batch = self.model.augmented(batch)
         if self.settings.symmetry != "none":
-            square = self.settings.symmetry == "square"
-            batch = reflected(batch, self.data.centre, swap_axes=square)
+            batch = reflected(batch, self.data.centre, self.settings.symmetry)
         weight = annealing(self.step, self.settings.anneal or 0)
         loss = self.bound(batch, weight) / self.coordinates
         loss.backward()  # type: ignore[no-untyped-call]

@@ -5,6 +5,7 @@ from functools import cached_property
 
 import torch
 
+from swarmssm.errors import InputError
 from swarmssm.graphs import EdgeList, Graph
 from swarmssm.models.markov import StepInputs
 
@@ -55,7 +56,29 @@ class SwarmBatch:
         adjacency: Graph,
         controls: torch.Tensor | None = None,
     ) -> "SwarmBatch":
-        """Make a batch that is its own population, each window counting once."""
+        """Make a batch that is its own population, each window counting once.
+
+        Parameters
+        ----------
+        observations, mask, adjacency, controls
+            As in the class. What stands where the mask is false says nothing, NaN neither.
+
+        Raises
+        ------
+        InputError
+            If the shapes do not go together, or an observation that is to count is not finite.
+        """
+        _check_shapes(observations, mask, adjacency, controls)
+        mask = mask.bool()
+        finite = observations.isfinite().all(-1)
+        if not bool((finite | ~mask).all()):
+            place = tuple(torch.nonzero(mask & ~finite)[0].tolist())
+            raise InputError(
+                "observations: that of (batch, time, individual) = "
+                f"{place} is not finite, and the mask says that it was seen."
+            )
+        if not bool(finite.all()):
+            observations = observations.masked_fill(~finite.unsqueeze(-1), 0.0)
         batch = len(observations)
         weight = observations.new_ones(batch)
         return cls(observations, mask, adjacency, weight, batch, presence(mask), controls)
@@ -111,6 +134,40 @@ class SwarmBatch:
             present=self.present.to(device),
             controls=None if self.controls is None else self.controls.to(device),
         )
+
+
+def _check_shapes(
+    observations: torch.Tensor,
+    mask: torch.Tensor,
+    adjacency: Graph,
+    controls: torch.Tensor | None,
+) -> None:
+    """Refuse tensors of windows that do not go together."""
+    kinds = {"observations": observations, "mask": mask, "adjacency": adjacency}
+    for name, value in kinds.items():
+        if not isinstance(value, torch.Tensor | EdgeList):
+            raise InputError(f"{name}: it must be a tensor, not {type(value).__name__}.")
+    if observations.dim() != 4 or not observations.is_floating_point():
+        raise InputError(
+            "observations: they must be (batch, time, individual, observation) of floats, and are "
+            f"{tuple(observations.shape)} of {observations.dtype}."
+        )
+    frames = tuple(observations.shape[:-1])
+    shapes = {"mask": (tuple(mask.shape), frames)}
+    if isinstance(adjacency, EdgeList):
+        shapes["adjacency"] = ((*adjacency.leading, adjacency.individuals), frames)
+    else:
+        shapes["adjacency"] = (tuple(adjacency.shape), (*frames, frames[-1]))
+    if controls is not None:
+        shapes["controls"] = (tuple(controls.shape), (*frames[:2], *controls.shape[2:3]))
+        if controls.dim() != 3:
+            shapes["controls"] = (tuple(controls.shape), (*frames[:2], 1))
+    for name, (given, wanted) in shapes.items():
+        if given != wanted:
+            raise InputError(
+                f"{name}: its shape must be {wanted} to go with observations of "
+                f"{tuple(observations.shape)}, and it is {given}."
+            )
 
 
 def presence(mask: torch.Tensor) -> torch.Tensor:

@@ -24,9 +24,9 @@ class InteractionNetwork(nn.Module):
         \qquad z_i = \sigma(W_z [h_i, u_i] + b_z)
 
     for each round with weights of its own; in the first, messages are of :math:`e_{ij}` alone. The
-    result is a linear function of the last :math:`h_i` and of the :math:`[h_i, u_i]` it was made of:
-    what is linear in the features is learned at once, and the layers learn the rest. Nothing but
-    ReLU, so that walls and thresholds are few hinges.
+    result is a linear function of the last :math:`h_i` and of the :math:`[h_i, u_i]` that it was
+    made of: what is linear in the features is learned at once, and the layers learn the rest.
+    Nothing but ReLU, so that walls and thresholds are few hinges.
 
     Parameters
     ----------
@@ -109,7 +109,8 @@ class InteractionNetwork(nn.Module):
             if place > 0:
                 to, of = self.ends[place - 1](hidden).chunk(2, dim=-1)
                 sent = sent + pairs.receivers(to) + pairs.senders(of)
-            summed = pairs.sum(torch.relu(sent))
+            # In place: there are many pairs, and nobody else has these numbers.
+            summed = pairs.sum(sent.relu_())
             together = torch.cat([plain, hidden, summed * scale, summed * share], dim=-1)
             gate, candidate = update(together).chunk(2, dim=-1)
             hidden = torch.lerp(hidden, torch.relu(candidate), torch.sigmoid(gate))

@@ -13,6 +13,7 @@ from torch import nn
 from torch.distributions import constraints
 
 from swarmssm.errors import InputError
+from swarmssm.models.prior_text import parse_distribution
 from swarmssm.models.supports import covers, describe
 
 __all__ = [
@@ -27,7 +28,7 @@ __all__ = [
 ]
 
 #: A fixed number or tensor; a distribution, which is a prior; or a parameter to be learned.
-Value = float | torch.Tensor | dist.TorchDistribution | nn.Parameter | PyroParam | PyroSample
+Value = float | str | torch.Tensor | dist.TorchDistribution | nn.Parameter | PyroParam | PyroSample
 
 
 class Declaration(NamedTuple):
@@ -70,8 +71,9 @@ def assign(
         Name of the parameter, and of its sample site if it has a prior.
     value
         A number, list or tensor: fixed. A tensor of floats keeps its type, all else gets torch's
-        default one. A distribution or :class:`pyro.nn.PyroSample`: a prior, whose batch
-        dimensions count as those of the parameter. A :class:`torch.nn.Parameter` or
+        default one. A distribution, its text such as ``"LogNormal(-1, 0.5)"``
+        (:func:`swarmssm.models.parse_distribution`) or :class:`pyro.nn.PyroSample`: a prior, whose
+        batch dimensions count as those of the parameter. A :class:`torch.nn.Parameter` or
         :class:`pyro.nn.PyroParam`: learned as a point, within the constraint.
     constraint
         From ``torch.distributions.constraints``: the values that the parameter may have. Absent,
@@ -112,6 +114,8 @@ def declaration(module: nn.Module, name: str) -> Declaration:
 
 def _checked(name: str, value: Any, own: Declaration) -> Any:
     """Return what is stored for a value: a tensor, a parameter or a prior."""
+    if isinstance(value, str):
+        value = parse_distribution(value)
     if isinstance(value, dist.Distribution):
         value = PyroSample(value)
     if isinstance(value, PyroSample):
@@ -160,7 +164,8 @@ def _check_value(name: str, value: torch.Tensor, own: Declaration) -> None:
         raise InputError(f"{name}: it is not a number (NaN).")
     _check_shape(name, tuple(value.shape), own)
     if not bool(own.constraint.check(value).all()):
-        shown = f"{value.item():g}" if value.dim() == 0 else str(value.tolist())
+        shown = ", ".join(f"{number:g}" for number in value.flatten()[:4].tolist())
+        shown = f"[{shown}{', ...' if value.numel() > 4 else ''}]" if value.dim() else shown
         raise InputError(f"{name}: it must be {describe(own.constraint)}, and it is {shown}.")
 
 

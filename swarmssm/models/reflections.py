@@ -2,25 +2,28 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Literal
 
 import torch
 
 from swarmssm.models.batch import SwarmBatch
 
-__all__ = ["reflected"]
+__all__ = ["Images", "reflected"]
+
+#: The symmetries of a rectangle, of a square, and of a circle (box, cube, sphere).
+Images = Literal["mirror", "square", "circle"]
 
 
 def reflected(
     batch: SwarmBatch,
     centre: Sequence[float] | torch.Tensor,
+    images: Images = "square",
     *,
-    swap_axes: bool = True,
     generator: torch.Generator | None = None,
 ) -> SwarmBatch:
-    """Return each window mirrored about the centre, and its axes exchanged, at random.
+    """Return each window as it would look in another position of the arena, at random.
 
-    Each axis of each window is mirrored or not, and the axes are put in any order, all equally
-    likely: the symmetries of a square arena. Who sees whom does not change.
+    Who sees whom does not change.
 
     Parameters
     ----------
@@ -28,8 +31,9 @@ def reflected(
         Windows of positions, or of positions and velocities, and no controls.
     centre
         ``(space,)``: the fixed point.
-    swap_axes
-        Whether axes are exchanged too; else mirrored alone, the symmetries of a rectangle.
+    images
+        ``"mirror"``: each axis is mirrored or not; ``"square"``: and the axes are put in any order;
+        ``"circle"``: turned by any angle, and mirrored or not. All equally likely.
     generator
         Draws; torch's own, if absent.
 
@@ -48,20 +52,31 @@ def reflected(
         raise ValueError(
             f"observations must have {space} or {2 * space} features, and they have {features}"
         )
-    size = (len(batch), space)
-    # Drawn where the generator lives, so that a seed means the same on every device.
-    device = torch.device("cpu") if generator is None else generator.device
-    signs = 1.0 - 2.0 * torch.randint(2, size, generator=generator, device=device)
-    if swap_axes:
-        order = torch.rand(size, generator=generator, device=device).argsort(-1)
-    else:
-        order = torch.arange(space, device=device).expand(size)
-    # Of each window the matrix that takes axes to axes.
-    turn = torch.nn.functional.one_hot(order, space) * signs.unsqueeze(-1)
-    turn = turn.to(values).unsqueeze(1)
+    turn = _matrices(len(batch), space, images, generator).to(values).unsqueeze(1)
     parts = [(values[..., :space] - middle) @ turn.mT + middle]
     if features > space:
         parts.append(values[..., space:] @ turn.mT)
     # What was not observed stays 0.
     observations = torch.cat(parts, dim=-1) * batch.mask.unsqueeze(-1)
     return replace(batch, observations=observations)
+
+
+def _matrices(
+    number: int, space: int, images: Images, generator: torch.Generator | None
+) -> torch.Tensor:
+    """Draw orthogonal matrices ``(number, space, space)``."""
+    # Drawn where the generator lives, so that a seed means the same on every device.
+    device = torch.device("cpu") if generator is None else generator.device
+    if images == "circle":
+        entries = torch.randn(number, space, space, generator=generator, device=device)
+        rotation, upper = torch.linalg.qr(entries)
+        # Uniform only if the signs that QR leaves open are settled (Mezzadri 2007).
+        uniform: torch.Tensor = rotation * upper.diagonal(dim1=-2, dim2=-1).sign().unsqueeze(-2)
+        return uniform
+    size = (number, space)
+    signs = 1.0 - 2.0 * torch.randint(2, size, generator=generator, device=device)
+    if images == "square":
+        order = torch.rand(size, generator=generator, device=device).argsort(-1)
+    else:
+        order = torch.arange(space, device=device).expand(size)
+    return torch.nn.functional.one_hot(order, space) * signs.unsqueeze(-1)

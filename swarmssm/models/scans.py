@@ -5,6 +5,7 @@ differentiated one by one. Here a step is one operation, and so is its derivativ
 linear recurrence is a linear recurrence the other way round.
 """
 
+import itertools
 from typing import Any
 
 import torch
@@ -63,19 +64,8 @@ def projective_scan(gain: Tensor, first: Tensor, *, reverse: bool = False) -> Te
     -------
     ``(time, row, feature)``.
     """
-    with torch.no_grad():
-        order = range(len(gain))[::-1] if reverse else range(len(gain))
-        parts = gain.unbind(0)
-        scale = gain.new_ones(*gain.shape[:2], 1)
-        scales = scale.unbind(0)
-        state = first.unsqueeze(-1)
-        for t in order[1:]:
-            moved = torch.bmm(parts[t], state)
-            torch.reciprocal(moved[:, 0], out=scales[t])
-            state = moved * scales[t].unsqueeze(-1)
-    rest = first.new_zeros(len(gain) - 1, *first.shape)
-    shift = torch.cat([rest, first.unsqueeze(0)] if reverse else [first.unsqueeze(0), rest])
-    return linear_scan(gain * scale.unsqueeze(-1), shift, reverse=reverse)
+    scanned: Tensor = _Projective.apply(gain, first, reverse)  # type: ignore[no-untyped-call]
+    return scanned
 
 
 class _Scan(torch.autograd.Function):
@@ -83,18 +73,16 @@ class _Scan(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, gain: Tensor, shift: Tensor, reverse: bool) -> Tensor:
-        states = torch.empty(shift.shape, dtype=shift.dtype, device=shift.device)
+        # In place, or each step would copy as much as it adds.
+        states = shift.clone(memory_format=torch.contiguous_format)
         order = range(len(shift))[::-1] if reverse else range(len(shift))
         is_matrix = gain.dim() > shift.dim()
-        views = (states.unsqueeze(-1), shift.unsqueeze(-1)) if is_matrix else (states, shift)
-        found, added, gains = (*(view.unbind(0) for view in views), gain.unbind(0))
-        if len(order):
-            found[order[0]].copy_(added[order[0]])
-        for before, t in zip(order[:-1], order[1:], strict=True):
+        gains, found = gain.unbind(0), (states.unsqueeze(-1) if is_matrix else states).unbind(0)
+        for before, t in itertools.pairwise(order):
             if is_matrix:
-                torch.baddbmm(added[t], gains[t], found[before], out=found[t])
+                found[t].baddbmm_(gains[t], found[before])
             else:
-                torch.addcmul(added[t], gains[t], found[before], out=found[t])
+                found[t].addcmul_(gains[t], found[before])
         ctx.save_for_backward(gain, states)
         ctx.reverse = reverse
         return states
@@ -102,20 +90,52 @@ class _Scan(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         gain, states = ctx.saved_tensors
-        if len(states) == 0:
-            return gain, gradient, None
-        # The gain into a later frame leads back from it.
-        turned = gain.mT if gain.dim() > states.dim() else gain
-        edge = torch.zeros_like(states[:1])
-        if ctx.reverse:
-            turned = torch.cat([turned[:1], turned[:-1]])
-            before = torch.cat([states[1:], edge])
-        else:
-            turned = torch.cat([turned[1:], turned[-1:]])
-            before = torch.cat([edge, states[:-1]])
-        adjoint = linear_scan(turned, gradient, reverse=not ctx.reverse)
+        adjoint, before = _adjoint(gain, states, gradient, ctx.reverse)
         if not ctx.needs_input_grad[0]:
             return None, adjoint, None
         if gain.dim() > states.dim():
             return adjoint.unsqueeze(-1) * before.unsqueeze(-2), adjoint, None
         return adjoint * before, adjoint, None
+
+
+class _Projective(torch.autograd.Function):
+    """See :func:`projective_scan`."""
+
+    @staticmethod
+    def forward(ctx: Any, gain: Tensor, first: Tensor, reverse: bool) -> Tensor:
+        states = first.new_empty(len(gain), *first.shape)
+        scale = torch.ones_like(states[..., :1])
+        order = range(len(gain))[::-1] if reverse else range(len(gain))
+        gains, found, scales = gain.unbind(0), states.unsqueeze(-1).unbind(0), scale.unbind(0)
+        found[order[0]].copy_(first.unsqueeze(-1))
+        for before, t in itertools.pairwise(order):
+            moved = torch.bmm(gains[t], found[before])
+            torch.reciprocal(moved[:, 0], out=scales[t])
+            torch.mul(moved, scales[t].unsqueeze(-1), out=found[t])
+        ctx.save_for_backward(gain, states, scale.unsqueeze(-1))
+        ctx.reverse = reverse
+        return states
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        # With the scale known, it is a linear scan.
+        gain, states, scale = ctx.saved_tensors
+        adjoint, before = _adjoint(gain * scale, states, gradient, ctx.reverse)
+        of_gain = scale * adjoint.unsqueeze(-1) * before.unsqueeze(-2)
+        return of_gain, adjoint[-1 if ctx.reverse else 0], None
+
+
+def _adjoint(
+    gain: Tensor, states: Tensor, gradient: Tensor, reverse: bool
+) -> tuple[Tensor, Tensor]:
+    """Return the derivative by each shift, and the state before each, 0 before the first."""
+    # The gain into a later frame leads back from it.
+    turned = gain.mT if gain.dim() > states.dim() else gain
+    edge = torch.zeros_like(states[:1])
+    if reverse:
+        turned = torch.cat([turned[:1], turned[:-1]])
+        before = torch.cat([states[1:], edge])
+    else:
+        turned = torch.cat([turned[1:], turned[-1:]])
+        before = torch.cat([edge, states[:-1]])
+    return linear_scan(turned, gradient, reverse=not reverse), before

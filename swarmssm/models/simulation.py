@@ -11,8 +11,17 @@ import torch
 from swarmssm.errors import InputError
 from swarmssm.graphs import EdgeList, Graph
 from swarmssm.models.batch import SwarmBatch
+from swarmssm.models.markov import StepInputs
 
-__all__ = ["Simulation", "generator", "seeded", "stack"]
+__all__ = [
+    "Simulation",
+    "fitting",
+    "generator",
+    "seeded",
+    "stack",
+    "two_sizes",
+    "without_last",
+]
 
 
 @dataclass(frozen=True)
@@ -145,3 +154,33 @@ def seeded(seed: int | torch.Generator) -> Iterator[None]:
     ):
         torch.manual_seed(number)
         yield
+
+
+def two_sizes(sizes: Any) -> tuple[int, int]:
+    """Return a number of frames and one of individuals."""
+    if not isinstance(sizes, tuple | list) or len(sizes) != 2:
+        raise InputError(
+            "sample_prior: like must be a batch of windows or (num_steps, num_individuals), not "
+            f"{sizes!r}."
+        )
+    return sizes[0], sizes[1]
+
+
+def without_last(inputs: StepInputs) -> StepInputs:
+    """Return the inputs of the steps from those of the frames, ``(batch, time, ...)``."""
+    graph = inputs.adjacency
+    if isinstance(graph, EdgeList):
+        graph = graph.select(1, 0, graph.leading[1] - 1)
+    elif graph is not None:
+        graph = graph[:, :-1]
+    controls = None if inputs.controls is None else inputs.controls[:, :-1]
+    return StepInputs(graph, controls, None if inputs.present is None else inputs.present[:, :-1])
+
+
+def fitting(name: str, value: Any, shape: tuple[int, ...]) -> torch.Tensor:
+    """Return a tensor that may lack the dimension of the windows in full shape."""
+    tensor: torch.Tensor = torch.as_tensor(value)
+    given = tuple(tensor.shape)
+    if given not in (shape, shape[1:], (1, *shape[1:])):
+        raise InputError(f"{name}: its shape must be {shape}, and it is {given}.")
+    return tensor.expand(shape)

@@ -20,6 +20,9 @@ __all__ = ["TOLERANCE", "LimitedMoments", "SpeedLimited", "limit_speed", "limite
 TOLERANCE = 1e-6
 #: Beyond so many standard deviations nothing of a normal distribution is left.
 FAR = 40.0
+#: Part of the variance of a speed that is left where limits take all of it, so that matrices stay
+#: definite and well conditioned.
+LEAST_RESIDUAL = 1e-3
 #: Where the moments of the tail go over to their asymptotic series.
 SERIES_FROM = 30.0
 SERIES_TERMS = 7
@@ -227,7 +230,8 @@ def limited_moments(
         A = g I + (P(lo < |y| < hi) - g)\, m m^\top / \rho^2, \qquad
         R = (\mathrm{Var}[c] - P(lo < |y| < hi)^2 \sigma^2)\, u u^\top
 
-    Far from the limits this is y itself. All three are smooth in everything, the limits included,
+    where R is at least a thousandth of :math:`\sigma^2 u u^\top`, so that it can be inverted. Far
+    from the limits this is y itself. All three are smooth in everything, the limits included,
     and A is the derivative of :math:`\mu` for a fixed covariance. Good while the standard
     deviations are below the speed.
 
@@ -244,11 +248,13 @@ def limited_moments(
     trace = covariance.diagonal(dim1=-2, dim2=-1).sum(-1)
     space = mean.shape[-1]
     # A little of the variance keeps the direction smooth where the mean is 0.
-    heading = mean / (squared + 1e-3 * trace / space).sqrt().unsqueeze(-1)
-    short = 1.0 - heading.square().sum(-1)
-    radial = (heading.unsqueeze(-2) @ covariance @ heading.unsqueeze(-1)).squeeze(-1).squeeze(-1)
-    radial = radial + short * trace / space
-    rho2 = squared + (trace - radial)
+    blur = (1e-3 / space) * trace
+    length2 = squared + blur
+    along = (covariance @ mean.unsqueeze(-1)).squeeze(-1)
+    radial = ((along * mean).sum(-1) + blur * trace / space) / length2
+    # Rounding may leave a filter's covariance with an eigenvalue below 0.
+    radial = torch.maximum(radial, 1e-6 * trace)
+    rho2 = squared + trace - radial
     rho, sigma = rho2.sqrt(), radial.sqrt()
     low, high = _as(low, rho), _as(high, rho)
     # Infinity minus the mean would make the gradient NaN.
@@ -256,14 +262,15 @@ def limited_moments(
     lower = torch.where(low > 0, (low - rho) / sigma, -FAR)
     censored = _censored(lower, upper)
     factor = 1.0 + sigma * censored.mean / rho
-    pull = (censored.inside - factor) / rho2
+    left = (censored.variance - censored.inside.square()).clamp(min=LEAST_RESIDUAL) * radial
+    outer = mean.unsqueeze(-1) * mean.unsqueeze(-2)
     eye = torch.eye(space, dtype=mean.dtype, device=mean.device)
-    gain = factor[..., None, None] * eye + pull[..., None, None] * (
-        mean.unsqueeze(-1) * mean.unsqueeze(-2)
+    pull = ((censored.inside - factor) / rho2)[..., None, None]
+    return LimitedMoments(
+        factor.unsqueeze(-1) * mean,
+        factor[..., None, None] * eye + pull * outer,
+        (left / length2)[..., None, None] * outer,
     )
-    left = (censored.variance - censored.inside.square()).clamp(min=0.0) * radial
-    residual = left[..., None, None] * (heading.unsqueeze(-1) * heading.unsqueeze(-2))
-    return LimitedMoments(factor.unsqueeze(-1) * mean, gain, residual)
 
 
 class _Censored(NamedTuple):
@@ -280,10 +287,7 @@ def _censored(low: Tensor, high: Tensor) -> _Censored:
     high = torch.maximum(high.clamp(max=FAR), low)
     below, above = torch.special.ndtr(low), torch.special.ndtr(-high)
     at_low, at_high = _normal_density(low), _normal_density(high)
-    # The difference from the side on which both are small.
-    inside = torch.where(
-        low > 0, torch.special.ndtr(-low) - above, torch.special.ndtr(high) - below
-    ).clamp(min=0.0)
+    inside = (1.0 - below - above).clamp(min=0.0)
     # About the point where most of it is, or large squares would be taken from each other.
     middle = torch.minimum(low.clamp(min=0.0) + high.clamp(max=0.0), high)
     first = (low - middle) * below + (high - middle) * above + at_low - at_high - middle * inside

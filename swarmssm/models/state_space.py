@@ -1,6 +1,7 @@
 """The swarm as a state-space model: hidden states that move each other, seen with noise."""
 
 import contextlib
+import itertools
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Self
 
@@ -10,7 +11,7 @@ import torch
 from pyro.distributions import TorchDistribution
 from pyro.nn import PyroModule, pyro_method
 
-from swarmssm.errors import InputError
+from swarmssm.errors import InputError, WorkError
 from swarmssm.graphs import EdgeList, Graph, GraphRule
 from swarmssm.models.base import SwarmModel
 from swarmssm.models.batch import SwarmBatch
@@ -19,7 +20,16 @@ from swarmssm.models.emissions.base import Emission
 from swarmssm.models.layers import check_sizes
 from swarmssm.models.markov import MarkovChain, StepInputs
 from swarmssm.models.parameters import adopt, convert_priors, fixed, priors_of
-from swarmssm.models.simulation import Simulation, generator, seeded, stack
+from swarmssm.models.simulation import (
+    Simulation,
+    fitting,
+    generator,
+    seeded,
+    stack,
+    two_sizes,
+    without_last,
+)
+from swarmssm.models.supports import describe
 from swarmssm.models.transitions.base import Transition
 
 __all__ = ["StateSpaceModel"]
@@ -58,7 +68,8 @@ class StateSpaceModel(SwarmModel):
     Raises
     ------
     InputError
-        In a call, if the parts do not fit each other or the batch, with both shapes.
+        If a part is none; in a call, if the parts do not fit each other or the batch, with both
+        shapes.
     """
 
     scaler = "none"
@@ -70,6 +81,7 @@ class StateSpaceModel(SwarmModel):
         emission: Emission | None,
         edges: Edges | None = None,
     ) -> None:
+        _check_parts(initial, transition, emission, edges)
         super().__init__(transition.state_dim)
         self.initial = initial
         self.transition = transition
@@ -190,7 +202,9 @@ class StateSpaceModel(SwarmModel):
             with fixed(self, values):
                 initial = self.initial()
         else:
-            initial = dist.Delta(first, event_dim=1)
+            with fixed(self, values):
+                dtype = self.initial().sample().dtype
+            initial = dist.Delta(first.to(dtype), event_dim=1)
         if initial.event_shape != (self.state_dim,):
             raise InputError(
                 f"initial: first states must have the shape of the transition's, "
@@ -215,6 +229,7 @@ class StateSpaceModel(SwarmModel):
             pyro.plate("windows", batch.population, subsample=rows, dim=-1),
             pyro.poutine.scale(scale=batch.window_weight),
         ):
+            self._check_type(batch)
             chain = self.chain(batch, values)
             if self.emission is None:
                 self._check_features(batch, self.state_dim)
@@ -233,6 +248,16 @@ class StateSpaceModel(SwarmModel):
             pyro.sample("observations", observed, obs=batch.observations)
         return states
 
+    def _check_type(self, batch: SwarmBatch) -> None:
+        """Refuse observations whose products with the model's matrices torch would refuse."""
+        wanted = batch.observations.dtype
+        for weight in itertools.chain(self.parameters(), self.buffers()):
+            if weight.dim() > 1 and weight.is_floating_point() and weight.dtype != wanted:
+                raise InputError(
+                    f"observations: they are of {wanted}, and the model is of {weight.dtype}. "
+                    f"Change one of them, for instance model.to({wanted})."
+                )
+
     def _check_features(self, batch: SwarmBatch, features: int) -> None:
         """Refuse observations of another number of features than the model's."""
         given = tuple(batch.observations.shape)
@@ -249,7 +274,7 @@ class StateSpaceModel(SwarmModel):
         num_individuals: int,
         *,
         num_windows: int = 1,
-        values: Mapping[str, torch.Tensor] | None = None,
+        values: Mapping[str, Any] | None = None,
         graph: Graph | GraphRule | str | None = None,
         controls: torch.Tensor | None = None,
         present: torch.Tensor | None = None,
@@ -287,36 +312,91 @@ class StateSpaceModel(SwarmModel):
         Raises
         ------
         InputError
-            If a size is no positive whole number, or a shape or name does not fit.
+            If a size is no positive whole number, or a shape, name or value does not fit.
+        WorkError
+            If the swarm runs away so far that numbers end.
         """
+        drawn = self._drawn(
+            (num_windows, num_steps, num_individuals),
+            values,
+            graph,
+            controls,
+            present,
+            first,
+            seed,
+        )
+        finite = drawn.states.isfinite().all(-1)
+        if not bool(finite.all()):
+            frame = int(torch.nonzero(~finite)[:, 1].min())
+            raise WorkError(
+                f"simulate: the states are no longer finite at frame {frame}. With these "
+                "parameters the swarm runs away; take others, or another seed."
+            )
+        return drawn
+
+    def _drawn(
+        self,
+        shape: tuple[int, int, int],
+        values: Mapping[str, Any] | None,
+        graph: Graph | GraphRule | str | None,
+        controls: torch.Tensor | None,
+        present: torch.Tensor | None,
+        first: torch.Tensor | None,
+        seed: int | torch.Generator,
+    ) -> Simulation:
+        """Check what was given to :meth:`simulate`, and draw."""
+        num_windows, num_steps, num_individuals = shape
         try:
             check_sizes(
                 num_steps=num_steps, num_individuals=num_individuals, num_windows=num_windows
             )
         except ValueError as error:
             raise InputError(f"simulate: {error}.") from None
+        given = self._given(values or {})
         edges = self.edges
         if isinstance(graph, str | GraphRule):
             edges, graph = LatentEdges(graph), None
-        shape = (num_windows, num_steps, num_individuals)
         there = torch.ones(shape, dtype=torch.bool)
         if present is not None:
-            there = _fitting("present", present, shape).bool()
-        if isinstance(graph, torch.Tensor):
-            graph = _fitting("graph", graph, (*shape, num_individuals))
-        elif graph is not None and (*graph.leading, graph.individuals) != shape:
-            raise InputError(
-                f"graph: it must be of frames and individuals {shape}, and it is of "
-                f"{(*graph.leading, graph.individuals)}."
-            )
+            there = fitting("present", present, shape).bool()
+        if isinstance(graph, EdgeList):
+            if (*graph.leading, graph.individuals) != shape:
+                raise InputError(
+                    f"graph: it must be of frames and individuals {shape}, and it is of "
+                    f"{(*graph.leading, graph.individuals)}."
+                )
+        elif graph is not None:
+            graph = fitting("graph", graph, (*shape, num_individuals))
         if controls is not None:
-            controls = _fitting("controls", controls, (*shape[:2], controls.shape[-1]))
+            features = torch.as_tensor(controls).shape[-1:]
+            controls = fitting("controls", controls, (*shape[:2], *features))
         if first is not None:
-            first = _fitting("first", first, (num_windows, num_individuals, self.state_dim))
-        with seeded(seed):
+            first = fitting("first", first, (num_windows, num_individuals, self.state_dim))
+        # A swarm that runs away is told of at the end, in plainer words than a distribution has.
+        with seeded(seed), pyro.validation_enabled(False):
             inputs = StepInputs(graph, controls, there)
-            drawn: Simulation = self._simulate(there, inputs, values, edges, first)
+            drawn: Simulation = self._simulate(there, inputs, given, edges, first)
         return drawn
+
+    def _given(self, values: Mapping[str, Any]) -> dict[str, torch.Tensor]:
+        """Return given values as tensors, if their priors allow them."""
+        self._check_names(values)
+        ready = {}
+        for name, value in values.items():
+            place, _, attribute = name.rpartition(".")
+            prior = self.get_submodule(place)._pyro_samples[attribute]
+            tensor = torch.as_tensor(value)
+            if not tensor.is_floating_point():
+                tensor = tensor.to(torch.get_default_dtype())
+            if isinstance(prior, dist.Distribution):
+                tensor = _without_plates(name, tensor, prior.event_shape)
+                if not bool(prior.support.check(tensor).all()):
+                    raise InputError(
+                        f"values: {name} is not one that its prior can have; it must be "
+                        f"{describe(prior.support)}."
+                    )
+            ready[name] = tensor
+        return ready
 
     def sample_prior(
         self,
@@ -342,7 +422,8 @@ class StateSpaceModel(SwarmModel):
 
         Returns
         -------
-        Simulation with a leading dimension ``draw``.
+        Simulation with a leading dimension ``draw``. A swarm may run away with the parameters of
+        some draws: its states are then infinite or NaN.
 
         Raises
         ------
@@ -353,31 +434,37 @@ class StateSpaceModel(SwarmModel):
             check_sizes(num=num)
         except ValueError as error:
             raise InputError(f"sample_prior: {error}.") from None
-        options: dict[str, Any] = {"graph": graph}
+        options: dict[str, Any] = {
+            "num_windows": 1,
+            "graph": graph,
+            "present": None,
+            "controls": None,
+            "first": None,
+        }
         if isinstance(like, SwarmBatch):
             sizes = (like.num_times, like.num_individuals)
             options |= {"num_windows": len(like), "present": like.present}
             options |= {"controls": like.controls}
             options["graph"] = like.adjacency if graph is None else graph
         else:
-            sizes = like
+            sizes = two_sizes(like)
+        shape = (options.pop("num_windows"), *sizes)
         source = generator(seed)
-        return stack([self.simulate(*sizes, seed=source, **options) for _ in range(num)])
+        return stack([self._drawn(shape, None, **options, seed=source) for _ in range(num)])
 
     @pyro_method  # type: ignore[untyped-decorator]
     def _simulate(
         self,
         there: torch.Tensor,
         inputs: StepInputs,
-        values: Mapping[str, torch.Tensor] | None,
+        values: Mapping[str, torch.Tensor],
         edges: Edges,
         first: torch.Tensor | None,
     ) -> Simulation:
         """Draw from the model; inputs have a value for every frame, the last one included."""
-        self._check_names(values or {})
-        with fixed(self, values or {}):
+        with fixed(self, values):
             drawn = self.sample_globals()
-        chain = self._chain(there, _without_last(inputs), drawn, edges, first)
+        chain = self._chain(there, without_last(inputs), drawn, edges, first)
         states = chain.sample()
         with fixed(self, drawn):
             observations = states if self.emission is None else self.emission(states).sample()
@@ -392,6 +479,21 @@ class StateSpaceModel(SwarmModel):
         )
 
 
+def _check_parts(initial: Any, transition: Any, emission: Any, edges: Any) -> None:
+    """Refuse parts of a model that are none, saying what each has to be."""
+    wanted = {
+        "initial": (initial, PyroModule, "a module that returns a distribution (InitialStates)"),
+        "transition": (transition, Transition, "a Transition"),
+        "emission": (emission, Emission | None, "an Emission or None"),
+        "edges": (edges, Edges | None, "ObservedEdges, LatentEdges or None"),
+    }
+    for name, (part, kind, words) in wanted.items():
+        if not isinstance(part, kind):
+            what = part.__name__ if isinstance(part, type) else type(part).__name__
+            mend = f" Call it: {what}(...)." if isinstance(part, type) else ""
+            raise InputError(f"{name}: it must be {words}, and {what} is not.{mend}")
+
+
 def _without_plates(name: str, value: torch.Tensor, shape: torch.Size) -> torch.Tensor:
     """Return a value without the dimensions of size 1 that Predictive gives it for plates."""
     place = value.dim() - len(shape)
@@ -402,22 +504,3 @@ def _without_plates(name: str, value: torch.Tensor, shape: torch.Size) -> torch.
             "Predictive, vectorize_particles=False in an ELBO."
         )
     return value.reshape(shape)
-
-
-def _without_last(inputs: StepInputs) -> StepInputs:
-    """Return the inputs of the steps from those of the frames, ``(batch, time, ...)``."""
-    graph = inputs.adjacency
-    if isinstance(graph, EdgeList):
-        graph = graph.select(1, 0, graph.leading[1] - 1)
-    elif graph is not None:
-        graph = graph[:, :-1]
-    controls = None if inputs.controls is None else inputs.controls[:, :-1]
-    return StepInputs(graph, controls, None if inputs.present is None else inputs.present[:, :-1])
-
-
-def _fitting(name: str, value: torch.Tensor, shape: tuple[int, ...]) -> torch.Tensor:
-    """Return a tensor that may lack the dimension of the windows in full shape."""
-    given = tuple(value.shape)
-    if given not in (shape, shape[1:], (1, *shape[1:])):
-        raise InputError(f"{name}: its shape must be {shape}, and it is {given}.")
-    return value.expand(shape)

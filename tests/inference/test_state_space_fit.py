@@ -167,7 +167,7 @@ def test_exact_states_are_scored_directly(tracks):
     """With known states the gain is regression: compare with least squares on accelerations."""
     known = simulate_boids(6, 300, 1, seed=2, wall_gain=0, separation_gain=0, alignment_gain=0,
                            min_speed=0, max_speed=9.0, noise="additive", process_noise=0.1)
-    exact = fit(pulled, tracks=known, epochs=150, lr=0.05, fractions=(1, 0, 0),
+    exact = fit(pulled, tracks=known, epochs=60, lr=0.05, fractions=(1, 0, 0),
                 model_options={"exact": True})
     assert exact.settings.guide == "parameters"
     order = ("trial", "time", "individual", "space")

@@ -364,14 +364,36 @@ def test_reflected_windows_are_the_eight_images_of_a_square():
 
 def test_reflected_without_exchange_of_axes():
     batch = windows(features=2)
-    image = reflected(
-        batch, (0.0, 0.0), swap_axes=False, generator=torch.Generator().manual_seed(0)
-    )
+    image = reflected(batch, (0.0, 0.0), "mirror", generator=torch.Generator().manual_seed(0))
     torch.testing.assert_close(image.observations.abs(), batch.observations.abs())
     signs = torch.sign(image.observations * batch.observations)
     assert {tuple(row) for row in signs[batch.mask].tolist()} == {
         (a, b) for a in (-1.0, 1.0) for b in (-1.0, 1.0)
     }
+
+
+@pytest.mark.parametrize("space", [2, 3])
+def test_reflected_windows_of_a_round_arena(space):
+    """All distances stay; a direction becomes any other, half of the images being mirrored."""
+    number = 4000
+    observations = torch.zeros(number, 1, space, 2 * space, dtype=DOUBLE)
+    observations[..., space:] = torch.eye(space, dtype=DOUBLE)
+    observations[..., :space] = 2.0
+    mask = torch.ones(number, 1, space, dtype=torch.bool)
+    batch = SwarmBatch.of(observations, mask, torch.zeros(number, 1, space, space))
+    generator = torch.Generator().manual_seed(0)
+    image = reflected(batch, (1.0,) * space, "circle", generator=generator).observations[:, 0]
+    # Rows of the velocities are what became of the axes.
+    turn = image[..., space:].mT
+    eye = torch.eye(space, dtype=DOUBLE).expand(number, space, space)
+    torch.testing.assert_close(turn @ turn.mT, eye, rtol=0, atol=1e-6)
+    expected = turn @ torch.ones(space, dtype=DOUBLE) + 1.0
+    torch.testing.assert_close(image[:, 0, :space], expected, rtol=0, atol=1e-6)
+    # Four standard errors of a share of one half, and of a mean of squares of mean 1 / space.
+    four = 4 / number**0.5
+    assert abs(float((turn.det() > 0).double().mean()) - 0.5) < 0.5 * four
+    assert (turn.mean(0).abs() < four).all()
+    assert (turn.square().mean(0) - 1 / space).abs().max() < 0.5 * four
 
 
 def test_reflected_refuses_what_it_does_not_understand():

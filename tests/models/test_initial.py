@@ -61,7 +61,7 @@ def test_its_numbers_may_be_random():
     ("mean", "scale", "message"),
     [
         (0.0, [1.0], r"mean: it must be \(any number,\) or .* in shape, and it is \(\)"),
-        ([0.0], [0.0], r"scale: it must be positive, and it is \[0.0\]"),
+        ([0.0], [0.0], r"scale: it must be positive, and it is \[0\]"),
         ([0.0, 0.0], [1.0, 1.0, 1.0], r"mean has 2 features and scale 3"),
     ],
 )

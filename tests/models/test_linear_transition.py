@@ -9,6 +9,10 @@ from swarmssm.graphs import EdgeList
 from swarmssm.models import LinearTransition, StepInputs
 from swarmssm.models.transitions import LinearForceTransition, Transition
 
+# Said by torch of itself, the first time that it differentiates forwards.
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:.torch.jit.script. is deprecated:DeprecationWarning"
+)
 DOUBLE = torch.float64
 STEPS, INDIVIDUALS = 3, 4
 

@@ -7,6 +7,7 @@ import pytest
 import torch
 from pyro.infer import Predictive
 
+from swarmssm.graphs import EdgeList, neighbor_sum
 from swarmssm.models import MarkovChain, StepInputs
 
 DOUBLE = torch.float64
@@ -190,6 +191,117 @@ def test_shapes_that_do_not_fit_are_named(change, message):
     }
     with pytest.raises(ValueError, match=message):
         MarkovChain(**{**arguments, **change})
+
+
+SPARSE = EdgeList.from_dense(torch.ones(2, STEPS - 1, INDIVIDUALS, INDIVIDUALS))
+
+
+@pytest.mark.parametrize(
+    ("inputs", "message"),
+    [
+        (
+            StepInputs(torch.ones(STEPS, INDIVIDUALS, INDIVIDUALS)),
+            r"adjacency must end in \(step, individual, individual\) = \(3, 3, 3\), and .* \(4, 3",
+        ),
+        (StepInputs(torch.ones(STEPS - 1, 2, 2)), r"\(3, 3, 3\), and its shape is \(3, 2, 2\)"),
+        (StepInputs(SPARSE.select(1, 0, 2)), r"\(3, 3, 3\), and its shape is \(2, 2, 3, 3\)"),
+        (
+            StepInputs(EdgeList.from_dense(torch.ones(STEPS - 1, 2, 2))),
+            r"\(3, 3, 3\), and its shape is \(3, 2, 2\)",
+        ),
+        (
+            StepInputs(present=torch.ones(STEPS - 1, 2, dtype=torch.bool)),
+            r"present must end in \(step, individual\) = \(3, 3\), and its shape is \(3, 2\)",
+        ),
+    ],
+)
+def test_inputs_of_another_size_are_named(inputs, message):
+    with pytest.raises(ValueError, match=message):
+        MarkovChain(initial(), linear, STEPS, INDIVIDUALS, inputs=inputs)
+
+
+def test_first_states_of_another_number_of_individuals_are_refused():
+    many = dist.Normal(torch.zeros(2, 2), 1.0).to_event(1)
+    with pytest.raises(ValueError, match=r"with 3 individuals or 1, and it is \(2,\)"):
+        MarkovChain(many, linear, STEPS, INDIVIDUALS)
+
+
+@pytest.mark.parametrize(
+    ("step", "message"),
+    [
+        (lambda z, u: dist.Normal(z, 1.0), r"this one has \(2, 3, 3, 2\) and \(\); \.to_event"),
+        (lambda z, u: dist.Normal(z[..., :1], 1.0).to_event(1), r"has \(2, 3, 3\) and \(1,\)"),
+        (lambda z, u: dist.Normal(z[..., :2, :], 1.0).to_event(1), r"has \(2, 3, 2\) and \(2,\)"),
+        (lambda z, u: dist.Normal(z, 1.0).to_event(2), r"this one has \(2, 3\) and \(3, 2\)"),
+    ],
+)
+def test_a_transition_of_another_shape_is_refused_with_both(step, message):
+    chain = MarkovChain(initial(), step, STEPS, INDIVIDUALS)
+    with pytest.raises(ValueError, match=message):
+        chain.log_prob(rand(2, STEPS, INDIVIDUALS, 2))
+    with pytest.raises(ValueError, match=r"batch shape \(..., individual\) = \(3,\) and event"):
+        chain.sample()
+
+
+def test_a_list_of_edges_gives_the_numbers_of_its_matrix():
+    matrix = (rand(2, STEPS - 1, INDIVIDUALS, INDIVIDUALS, seed=1) > 0).to(DOUBLE)
+
+    def pulled(states, inputs):
+        pull = neighbor_sum(states, inputs.adjacency)
+        return dist.Normal(0.8 * states + 0.1 * pull, NOISE).to_event(1)
+
+    chains = [
+        MarkovChain(initial(), pulled, STEPS, INDIVIDUALS, inputs=StepInputs(graph))
+        for graph in (matrix, EdgeList.from_dense(matrix))
+    ]
+    path = rand(5, 2, STEPS, INDIVIDUALS, 2, seed=3)
+    scores = [chain.log_prob(path) for chain in chains]
+    torch.testing.assert_close(*scores, rtol=1e-12, atol=0)
+    draws = []
+    for chain in chains:
+        assert chain.batch_shape == (2,)
+        pyro.set_rng_seed(0)
+        draws.append(chain.rsample((5,)))
+    torch.testing.assert_close(*draws, rtol=1e-12, atol=1e-14)
+    assert torch.equal(chains[1].inputs.at(1).adjacency.to_dense(DOUBLE), matrix[:, 1])
+    dense = chains[1].inputs.dense().adjacency
+    assert torch.equal(dense.to(DOUBLE), matrix)
+
+
+def test_inputs_go_through_rows_and_back():
+    """As a linearisation takes them: one leading dimension, and put together again."""
+    graph = (rand(STEPS - 1, INDIVIDUALS, INDIVIDUALS) > 0).to(DOUBLE)
+    present = torch.ones(2, 1, INDIVIDUALS, dtype=torch.bool)
+    inputs = StepInputs(graph, None, present)
+    rows = inputs.tensors((2, STEPS - 1))
+    assert [tuple(row.shape) for row in rows] == [(6, 3, 3), (6, 3)]
+    assert torch.equal(rows[0].reshape(2, STEPS - 1, 3, 3), graph.expand(2, STEPS - 1, 3, 3))
+    one = inputs.rebuild([row[4] for row in rows])
+    assert torch.equal(one.adjacency, graph[1])
+    assert one.controls is None
+    assert one.present.shape == (INDIVIDUALS,)
+
+
+def test_draws_that_cannot_be_differentiated_are_made_all_the_same():
+    def mixture(states, inputs):
+        centres = torch.stack([states - 1.0, states + 1.0], -2)
+        weights = dist.Categorical(torch.ones_like(states))
+        return dist.MixtureSameFamily(weights, dist.Normal(centres, 0.1).to_event(1))
+
+    chain = MarkovChain(initial(), mixture, STEPS, INDIVIDUALS)
+    drawn = chain.sample((100,))
+    assert chain.log_prob(drawn).isfinite().all()
+    moved = drawn.diff(dim=1)
+    assert ((moved.abs() - 1).abs() < 0.7).all()
+    assert chain().shape == (STEPS, INDIVIDUALS, 2)
+
+
+def test_one_frame_has_no_steps():
+    chain = MarkovChain(initial(), linear, 1, INDIVIDUALS, inputs=StepInputs(torch.ones(0, 3, 3)))
+    path = rand(5, 1, INDIVIDUALS, 2)
+    expected = initial().log_prob(path[:, 0]).sum(-1)
+    torch.testing.assert_close(chain.log_prob(path), expected, rtol=1e-12, atol=0)
+    assert chain.sample().shape == (1, INDIVIDUALS, 2)
 
 
 def test_a_path_of_another_shape_is_refused_with_both_shapes():

@@ -10,6 +10,7 @@ import torch
 from pyro import poutine
 
 from swarmssm.errors import InputError
+from swarmssm.inference.filtering.evidence import collapsed_evidence
 from swarmssm.models import LatentEdges, ObservedEdges, SwarmBatch, scales_of
 from swarmssm.models.parameters import priors_of
 from swarmssm.models.ready import boids
@@ -96,7 +97,7 @@ def test_every_option_draws_swarms_and_scores_them(gains, form, radius):
     assert drawn.states.isfinite().all()
     for gain in SOCIAL:
         shape = () if gains == "global" else (4,)
-        value = drawn.values[f"transition.{gain}"]
+        value = drawn.parameters[f"transition.{gain}"]
         assert value.shape[1:] == shape
         assert (f"transition.{gain}_median" in names) == (gains == "hierarchical")
     batch = SwarmBatch.of(
@@ -157,3 +158,80 @@ def test_tracks_that_stand_still_have_a_model_too():
     model = boids(rest, radius="infer")
     assert model.sample_prior((3, 4), seed=0).states.isfinite().all()
     assert boids(rest, observed="states").sample_prior((3, 4), seed=0).states.isfinite().all()
+
+
+@pytest.mark.slow
+def test_gains_walls_and_limits_are_found_from_noisy_positions():
+    """The most probable values with the latents summed out, in standard deviations from truth.
+
+    As users do it, nothing is told but the graph: neither walls, nor limits, nor noise.
+    """
+    tracks = simulate_boids(10, 40, 4, observation_noise=0.03, seed=1, burn_in=100)
+    model = boids(scales_of(tracks)).double()
+    order = ("trial", "time", "individual", "space")
+    seen = torch.from_numpy(tracks["position"].transpose(*order).values.copy())
+    graph = torch.from_numpy(tracks["adjacency"].values).double()
+    batch = SwarmBatch.of(seen, torch.ones(seen.shape[:-1], dtype=torch.bool), graph)
+    names = priors_of(model)
+    priors = {name: prior_of(model, name) for name in names}
+    sizes = [priors[name].event_shape.numel() for name in names]
+    # `center` alone may be negative; all others are worked with as logarithms.
+    plain = {"transition.center"}
+
+    def loss(free):
+        values, score = {}, 0.0
+        for name, part in zip(names, free.split(sizes), strict=True):
+            part = part.reshape(priors[name].event_shape)
+            values[name] = part if name in plain else part.exp()
+            score = score + priors[name].log_prob(values[name])
+            score = score + (0.0 if name in plain else part.sum())
+        return -(collapsed_evidence(model, batch, values, method="extended").sum() + score)
+
+    def median(name):
+        base = priors[name].base_dist if priors[name].event_shape else priors[name]
+        return base.loc.clone().reshape(-1)
+
+    free = torch.cat([median(name) for name in names]).requires_grad_(True)
+    optimizer = torch.optim.LBFGS([free], max_iter=100, line_search_fn="strong_wolfe")
+
+    def closure():
+        optimizer.zero_grad()
+        value = loss(free)
+        value.backward()
+        return value
+
+    optimizer.step(closure)
+    best = free.detach()
+
+    def slope(at):
+        at = at.clone().requires_grad_(True)
+        return torch.autograd.grad(loss(at), at)[0]
+
+    steps = 1e-3 * torch.eye(len(best), dtype=torch.float64)
+    curvature = torch.stack([(slope(best + e) - slope(best - e)) / 2e-3 for e in steps])
+    error = (0.5 * (curvature + curvature.T)).inverse().diagonal().sqrt()
+    known = {
+        "transition.cohesion_gain": [0.5],
+        "transition.separation_gain": [0.3],
+        "transition.alignment_gain": [0.2],
+        "transition.wall_gain": [1.0],
+        "transition.half_width": [4.0, 4.0],
+        "transition.center": [0.0, 0.0],
+        "transition.min_speed": [0.6],
+        "transition.max_speed": [1.2],
+        "transition.process_noise": [0.02],
+        "emission.noise": [0.03],
+    }
+    truth = torch.cat(
+        [
+            torch.tensor(known[name], dtype=torch.float64).log()
+            if name not in plain
+            else torch.tensor(known[name], dtype=torch.float64)
+            for name in names
+        ]
+    )
+    off = dict(zip(names, ((best - truth) / error).abs().split(sizes), strict=True))
+    # The largest of 12 is beyond 3.5 in one of 180 data sets.
+    assert all((part < 3.5).all() for part in off.values()), off
+    gains = [names.index(f"transition.{name}") for name in ("cohesion_gain", "separation_gain")]
+    assert (error[gains] < 0.1).all()

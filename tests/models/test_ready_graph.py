@@ -9,6 +9,7 @@ import torch
 from pyro import poutine
 
 from swarmssm.errors import InputError
+from swarmssm.inference import fit
 from swarmssm.models import (
     LatentEdges,
     ObservedEdges,
@@ -18,6 +19,7 @@ from swarmssm.models import (
     scales_of,
 )
 from swarmssm.models.ready import graph_ssm
+from swarmssm.models.transitions import GraphTransition
 from swarmssm.simulate import simulate_boids
 
 NUMBER, TIMES = 4, 6
@@ -54,7 +56,8 @@ def batch(features, seed=0):
 
 def test_exact_states_are_scored_by_hand():
     """Untrained: N(v' | v, 0.8) on each axis of each step, and the wide first states."""
-    model = graph_ssm(scales(noise=0.0), observed="states", width=8)
+    plain = {"noise": "constant", "tails": "gaussian"}
+    model = graph_ssm(scales(noise=0.0), observed="states", width=8, **plain)
     assert model.observes == "states"
     windows = batch(4)
     trace = poutine.trace(model).get_trace(windows)
@@ -153,7 +156,12 @@ def test_it_finds_forces_that_constant_velocity_lacks():
     states = torch.cat([position, velocity], dim=-1)
     graph = torch.from_numpy(tracks.adjacency.values).float()
     model = graph_ssm(
-        scales_of(tracks.isel(trial=[0])), observed="states", width=32, symmetries="square"
+        scales_of(tracks.isel(trial=[0])),
+        observed="states",
+        width=32,
+        symmetries="square",
+        noise="constant",
+        tails="gaussian",
     )
     # Windows of one step each.
     cut = torch.stack([states[0, :-1], states[0, 1:]], dim=1)
@@ -178,3 +186,17 @@ def test_it_finds_forces_that_constant_velocity_lacks():
     still = (velocity[1] - truth[1])[known].square().mean()
     # Constant velocity misses all of the forces; noise of 0.02 |v| hides 1 to 2 % of them.
     assert error < 0.15 * still
+
+
+def test_training_sees_images(monkeypatch):
+    seen = []
+
+    def augmented(self, windows):
+        seen.append(len(windows))
+        return windows
+
+    monkeypatch.setattr(GraphTransition, "augmented", augmented)
+    tracks = simulate_boids(individuals=3, steps=60, seed=1)
+    options = {"observed": "states", "width": 4, "symmetries": "circle"}
+    fit("graph-ssm", "parameters", tracks, steps=3, window=5, model_options=options)
+    assert len(seen) == 3

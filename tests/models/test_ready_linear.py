@@ -102,4 +102,5 @@ def test_the_evidence_has_no_slope_at_the_truth_on_average():
     for slope in torch.autograd.grad(total, list(each.values())):
         score = slope.flatten()
         assert abs(score.mean()) < 6 * score.std() / math.sqrt(windows)
+        # Data without information would have no slope anywhere.
         assert score.std() > 0.1

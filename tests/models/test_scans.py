@@ -1,5 +1,7 @@
 """Linear recurrences against the same written as a loop."""
 
+import itertools
+
 import pytest
 import torch
 
@@ -17,7 +19,7 @@ def loop(gain, shift, reverse):
     """The recurrence as it is defined."""
     order = list(range(len(shift)))[:: -1 if reverse else 1]
     states = {order[0]: shift[order[0]]}
-    for before, t in zip(order[:-1], order[1:], strict=True):
+    for before, t in itertools.pairwise(order):
         if gain.dim() > shift.dim():
             states[t] = (gain[t] @ states[before].unsqueeze(-1)).squeeze(-1) + shift[t]
         else:
@@ -38,7 +40,9 @@ def test_the_scan_is_the_loop(shapes, reverse):
     wanted = torch.autograd.grad((expected * weight).sum(), [gain, shift], allow_unused=True)
     found = torch.autograd.grad((actual * weight).sum(), [gain, shift])
     for a, b in zip(found, wanted, strict=True):
-        torch.testing.assert_close(a, torch.zeros_like(a) if b is None else b, rtol=1e-12, atol=1e-12)
+        torch.testing.assert_close(
+            a, torch.zeros_like(a) if b is None else b, rtol=1e-12, atol=1e-12
+        )
 
 
 @pytest.mark.parametrize("reverse", [False, True])

@@ -177,8 +177,8 @@ def test_without_limits_it_is_the_normal_density():
     torch.testing.assert_close(free.log_prob(values), normal.log_prob(values))
     torch.testing.assert_close(free.mean, loc)
     (gradient,) = torch.autograd.grad(free.covariance_matrix.sum(), scale)
-    # Twice the sum of the diagonal, 2 s^2, up to the millionth that keeps matrices definite.
-    torch.testing.assert_close(gradient.item(), 2 * 2 * 0.4, rtol=1e-5, atol=0)
+    # Of the sum of the diagonal, 2 s^2, up to the thousandth that keeps matrices definite.
+    torch.testing.assert_close(gradient.item(), 2 * 2 * 0.4, rtol=1e-3, atol=0)
 
 
 def test_velocities_rounded_to_float32_are_recognised_at_the_limit():
@@ -271,7 +271,8 @@ def test_the_gain_is_the_derivative_of_the_mean_and_far_from_limits_the_identity
     free = limited_moments(tensor(0.9, 0.1), covariance, 0.0, math.inf)
     torch.testing.assert_close(free.mean, tensor(0.9, 0.1))
     torch.testing.assert_close(free.gain, torch.eye(2, dtype=DOUBLE))
-    assert free.residual.abs().max() < 1e-7
+    # A thousandth of the largest variance.
+    assert free.residual.abs().max() < 0.023e-3
 
 
 def test_it_expands_and_crossing_limits_leave_the_upper_one():

@@ -11,7 +11,7 @@ import torch
 from pyro.infer import Predictive, Trace_ELBO
 from torch import nn
 
-from swarmssm.errors import InputError
+from swarmssm.errors import InputError, WorkError
 from swarmssm.graphs import EdgeList, dense
 from swarmssm.models import (
     Emission,
@@ -554,3 +554,81 @@ def test_parts_that_forget_their_event_are_told_so():
         InputError, match=r"emission: it must return .* this one has \(\)\. \.to_ev"
     ):
         run(StateSpaceModel(initial, Chase(2, 0.1), Vague(), LatentEdges("complete")), batch)
+
+
+def test_observations_of_another_type_are_refused_with_both():
+    batch = batch_of(2)
+    with pytest.raises(InputError, match=r"of torch.float64, and the model is of torch.float32"):
+        run(seen().float(), batch)
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "message"),
+    [
+        (0, PositionEmission, "initial: it must be a module that returns a distribution"),
+        (0, dist.Normal(torch.zeros(4), 1.0).to_event(1), "initial: it must be .* Independent is"),
+        (1, lambda states, inputs: None, "transition: it must be a Transition, and function is"),
+        (2, PositionEmission, r"emission: .* PositionEmission is not. Call it: PositionEmission\("),
+        (3, "radius:1", "edges: it must be ObservedEdges, LatentEdges or None, and str is not"),
+    ],
+)
+def test_what_is_no_part_is_refused(place, value, message):
+    parts = [InitialStates(torch.zeros(4), torch.ones(4)), Chase(2, 0.1), None, None]
+    parts[place] = value
+    with pytest.raises(InputError, match=message):
+        StateSpaceModel(*parts)
+
+
+def test_values_that_cannot_be_are_refused():
+    model = random_model()
+    with pytest.raises(InputError, match=r"emission\.noise is not one that its prior can have"):
+        model.simulate(4, 3, values={"emission.noise": [-1.0, 1.0]})
+    with pytest.raises(InputError, match=r"shape of its prior, \(2,\), and this one has \(\)"):
+        model.simulate(4, 3, values={"emission.noise": 0.1})
+    with pytest.raises(InputError, match="like must be a batch of windows or"):
+        model.sample_prior(5)
+
+
+def test_a_swarm_that_runs_away_is_told_of():
+    initial = InitialStates(torch.zeros(2), torch.ones(2))
+    model = StateSpaceModel(initial, LinearTransition(2, 1e6, 0.1), None)
+    with pytest.raises(WorkError, match=r"simulate: the states are no longer finite at frame"):
+        model.simulate(20, 2)
+    drawn = model.sample_prior((20, 2), 2)
+    assert not drawn.states[:, :, -1].isfinite().any()
+    assert drawn.states[:, :, :4].isfinite().all()
+
+
+ONES = torch.ones(2, 5, 3, dtype=torch.bool)
+GRAPH = torch.zeros(2, 5, 3, 3)
+SEEN = torch.zeros(2, 5, 3, 2)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((SEEN[0], ONES, GRAPH), r"observations: they must be .* and are \(5, 3, 2\) of"),
+        ((SEEN.long(), ONES, GRAPH), r"of floats, and are \(2, 5, 3, 2\) of torch.int64"),
+        ((SEEN, ONES[:, 1:], GRAPH), r"mask: its shape must be \(2, 5, 3\) .* it is \(2, 4, 3\)"),
+        ((SEEN, ONES, GRAPH[:1]), r"adjacency: its shape must be \(2, 5, 3, 3\) .* \(1, 5, 3, 3\)"),
+        ((SEEN, ONES, EdgeList.from_dense(GRAPH[:1])), r"must be \(2, 5, 3\) .* it is \(1, 5, 3\)"),
+        ((SEEN, ONES, GRAPH, torch.ones(2, 4, 1)), r"controls: .* \(2, 5, 1\) .* \(2, 4, 1\)"),
+        ((SEEN, ONES, None), "adjacency: it must be a tensor, not NoneType"),
+        (
+            (SEEN.index_fill(2, torch.tensor([1]), math.nan), ONES, GRAPH),
+            r"that of \(batch, time, individual\) = \(0, 0, 1\) is not finite",
+        ),
+    ],
+)
+def test_windows_that_do_not_go_together_are_refused(arguments, message):
+    with pytest.raises(InputError, match=message):
+        SwarmBatch.of(*arguments)
+
+
+def test_what_was_not_seen_may_be_nan():
+    mask = ONES.clone()
+    mask[1, 2, 0] = False
+    hidden = SEEN.masked_fill(~mask.unsqueeze(-1), math.nan)
+    batch = SwarmBatch.of(hidden, mask, GRAPH)
+    assert (batch.observations == 0).all()
+    assert batch.present.all()

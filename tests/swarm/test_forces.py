@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from swarmssm import forces
+from swarmssm.graphs import EdgeList
 
 NAN = math.nan
 # 0 sees 1 and 2; 1 sees 0; 2 sees nobody.
@@ -184,3 +185,55 @@ def test_leading_dimensions_broadcast():
     torch.testing.assert_close(together[1], forces.separation(2 * POSITIONS, ADJACENCY))
     each = forces.cohesion(POSITIONS, torch.stack([ADJACENCY, ADJACENCY.T]))
     torch.testing.assert_close(each[1], forces.cohesion(POSITIONS, ADJACENCY.T))
+
+
+FRAMES = [((), ()), ((3,), (3,)), ((3,), (2, 3)), ((), (2, 3))]
+
+
+@pytest.mark.parametrize(("graphs", "frames"), FRAMES, ids=str)
+@pytest.mark.parametrize("space", [2, 3])
+@pytest.mark.parametrize("weighted", [False, True])
+def test_a_list_of_edges_gives_the_same_terms_and_gradients(graphs, frames, space, weighted):
+    """With coincident, lonely and absent individuals among them."""
+    generator = torch.Generator().manual_seed(5)
+    positions, velocities = torch.randn(
+        2, *frames, 6, space, dtype=torch.float64, generator=generator
+    )
+    positions[..., 1, :] = positions[..., 0, :]
+    positions[..., 2, 0] = velocities[..., 2, 0] = NAN
+    adjacency = torch.rand(*graphs, 6, 6, dtype=torch.float64, generator=generator)
+    adjacency = torch.where(adjacency < 0.6, adjacency if weighted else 1.0, 0.0)
+    adjacency.diagonal(dim1=-2, dim2=-1).zero_()
+    adjacency[..., 3, :] = 0.0
+    results, gradients = [], []
+    for kind in (lambda matrix: matrix, EdgeList.from_dense):
+        leaves = [t.clone().requires_grad_() for t in (positions, velocities)]
+        weight = adjacency.clone().requires_grad_(weighted)
+        result = terms(*leaves, kind(weight))
+        results.append(result.detach())
+        result.square().sum().backward()
+        gradients.append([leaf.grad for leaf in leaves])
+        if weighted:
+            # An entry of 0 is no edge, and a list has no gradient for it.
+            gradients[-1].append(torch.where(adjacency > 0, weight.grad, 0.0))
+    close(results[1], results[0].tolist())
+    for one, other in zip(*gradients, strict=True):
+        assert one.isfinite().all()
+        torch.testing.assert_close(one, other, rtol=1e-10, atol=1e-10)
+
+
+def test_each_individual_may_have_its_exponent_on_a_list_of_edges():
+    edges = EdgeList.from_dense(ADJACENCY)
+    exponents = torch.tensor([2.0, 1.0, 1.0], dtype=torch.float64, requires_grad=True)
+    expected = [[-3 / 125 - 1, -4 / 125], [3 / 25, 4 / 25], [0.0, 0.0]]
+    pushed = forces.separation(POSITIONS, edges, exponents)
+    close(pushed.detach(), expected)
+    # d/dn of 3 / 5 ** (n + 1), and so on: -log(5) times the push from (3, 4).
+    (slope,) = torch.autograd.grad(pushed[1, 0], exponents)
+    close(slope, [0.0, -math.log(5.0) * 3 / 25, 0.0])
+    draws = torch.stack([exponents, torch.ones(3, dtype=torch.float64)])
+    both = forces.separation(POSITIONS.expand(2, 3, 2), edges, draws)
+    close(both[0].detach(), expected)
+    close(both[1].detach(), forces.separation(POSITIONS, ADJACENCY).tolist())
+    softened = forces.separation(POSITIONS, edges, softening=math.sqrt(75.0))
+    close(softened, [[-0.03 - 1 / 76, -0.04], [0.03, 0.04], [0.0, 0.0]])

@@ -1,6 +1,11 @@
 """Gaussian and particle filters of a swarm's joint state, at given parameters."""
 
 from swarmssm.inference.filtering.affine import AffineMap, AffineSwarm, Linearizer, Taylor
+from swarmssm.inference.filtering.evidence import (
+    Points,
+    collapsed_evidence,
+    linearization_points,
+)
 from swarmssm.inference.filtering.importance import WeightedPaths, weigh_paths
 from swarmssm.inference.filtering.iterated import Iterated, iterated_smoother
 from swarmssm.inference.filtering.kalman import (
@@ -21,17 +26,20 @@ __all__ = [
     "Filtered",
     "Iterated",
     "Linearizer",
+    "Points",
     "ParticleCloud",
     "SigmaPoints",
     "Smoothed",
     "Taylor",
     "WeightedPaths",
     "bootstrap_particle_filter",
+    "collapsed_evidence",
     "draw_paths",
     "extended_kalman",
     "filter_with",
     "iterated_smoother",
     "kalman",
+    "linearization_points",
     "path_log_density",
     "smooth",
     "unscented_kalman",

@@ -170,7 +170,9 @@ def moments(factor: Factor) -> BandMoments:
         gain = gains[k]
         cross = gain @ later  # minus the covariance with the next two | what to take off the mean
         mean = solved[k, ..., -1:] - cross[..., -1:]
+        # What is not symmetric in rounding errors would grow from block to block.
         covariance = torch.baddbmm(own[k], cross[..., :-1], gain.mT)
+        covariance = 0.5 * (covariance + covariance.mT)
         means.append(mean)
         diagonal.append(covariance)
         crossed.append(cross[..., :-1])

@@ -13,10 +13,9 @@ from swarmssm.inference.filtering.affine import (
     Linearizer,
     Taylor,
     Window,
-    cholesky,
-    own_blocks,
-    symmetrize,
+    no_steps,
 )
+from swarmssm.inference.filtering.matrices import cholesky, own_blocks, symmetrize
 from swarmssm.models import StateSpaceModel, SwarmBatch
 
 __all__ = [
@@ -112,8 +111,9 @@ def extended_kalman(
     batch
         Windows, filtered side by side.
     values
-        Of the parameters that have priors, full name -> value. The result is differentiable in
-        them, and in the model's own parameters.
+        Of the parameters that have priors, full name -> value, one for all windows or, with shapes
+        such as ``(batch, 1)``, one for each. The result is differentiable in them, and in the
+        model's own parameters.
 
     Raises
     ------
@@ -194,7 +194,8 @@ def _run(
         filtered.append((mean, covariance))
         increments.append(increment)
     if system is None:
-        system = AffineSwarm(window, _stack(steps, observations), _stack(observations))
+        row = _stack(steps) if steps else no_steps(window.initial_mean)
+        system = AffineSwarm(window, row, _stack(observations))
     return Filtered(
         window.split(torch.stack([m for m, _ in predicted], -2)),
         torch.stack([c for _, c in predicted], -3),
@@ -230,14 +231,8 @@ def _update(
     )
 
 
-def _stack(maps: list[AffineMap], like: list[AffineMap] | None = None) -> AffineMap:
-    """Put maps of single frames in a row; of no frames at all, from the shapes of ``like``."""
-    if not maps and like is not None:
-        point = like[0].point
-        joint = point.shape[-1]
-        vector = point.new_zeros(*point.shape[:-1], 0, joint)
-        matrix = point.new_zeros(*point.shape[:-1], 0, joint, joint)
-        return AffineMap(vector, vector, matrix, matrix)
+def _stack(maps: list[AffineMap]) -> AffineMap:
+    """Put maps of single frames in a row."""
     return AffineMap(
         torch.stack([m.point for m in maps], -2),
         torch.stack([m.mean for m in maps], -2),

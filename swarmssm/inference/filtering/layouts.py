@@ -8,14 +8,9 @@ import torch
 from torch import Tensor
 
 from swarmssm.inference.filtering.adjoint import AffineChain
-from swarmssm.inference.filtering.affine import (
-    AffineMap,
-    AffineSwarm,
-    Window,
-    block_diagonal,
-    own_blocks,
-)
+from swarmssm.inference.filtering.affine import AffineMap, AffineSwarm, Window
 from swarmssm.inference.filtering.blocks import linearize_own
+from swarmssm.inference.filtering.matrices import block_diagonal, own_blocks
 from swarmssm.models import (
     Emission,
     KinematicTransition,

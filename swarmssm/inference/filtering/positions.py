@@ -35,9 +35,11 @@ from swarmssm.models.transitions.base import covariance_of
 __all__ = ["Expansion", "PositionPath"]
 
 #: A path stands when no window gains so many nats by a step.
-GAIN = 1e-3
+GAIN = 1e-2
 #: How often a step is halved.
-SHORTER = 4
+SHORTER = 2
+#: Least variance of a transition with limits in any direction, relative to the greatest.
+LEAST_NOISE = 1e-6
 
 
 class Expansion(NamedTuple):
@@ -273,11 +275,15 @@ class PositionPath:
         space, dt = self.space, self.dt
         before = states[:, :-1]
         inputs = self.model.edges.complete(before, self.inputs)
-        line = self.transition.linearize(before, inputs, covariance[:, :-1].to(self.dtype))
-        velocity = line.mean[..., space:]
+        covariance = covariance[:, :-1].to(self.dtype)
+        velocity, jacobian, noise = self.transition.linearize_velocity(before, inputs, covariance)
         residual = (states[:, 1:, :, space:] - velocity).double()
-        jacobian = line.jacobian[..., space:, :, :]
-        noise = line.noise[..., space:, space:].double()
+        noise = noise.double()
+        if not self.transition.is_smooth:
+            # Behind a limit of speed nothing is left of the noise along the velocity.
+            size = noise.diagonal(dim1=-2, dim2=-1).amax(-1)[..., None, None]
+            eye = torch.eye(space, dtype=noise.dtype, device=noise.device)
+            noise = noise + LEAST_NOISE * size * eye
         if not self.everybody:
             stays, there = self.stays, self.there[:, :-1]
             residual = torch.where(stays.unsqueeze(-1), residual, 0.0)

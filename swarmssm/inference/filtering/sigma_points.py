@@ -8,8 +8,9 @@ import torch
 from torch import Tensor
 
 from swarmssm.errors import InputError
-from swarmssm.inference.filtering.affine import AffineMap, block_diagonal, root
+from swarmssm.inference.filtering.affine import AffineMap
 from swarmssm.inference.filtering.kalman import Filtered, filter_with
+from swarmssm.inference.filtering.matrices import block_diagonal, root
 from swarmssm.models import StateSpaceModel, StepInputs, SwarmBatch
 from swarmssm.models.transitions.base import covariance_of
 

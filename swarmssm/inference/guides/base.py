@@ -14,6 +14,10 @@ from swarmssm.models import StateSpaceModel, SwarmBatch, SwarmModel
 __all__ = ["OneStepGuide", "ParameterGuide", "PathGuide", "SwarmGuide"]
 
 
+#: Draws that stand for a mean.
+MEAN_DRAWS = 20
+
+
 class SwarmGuide(PyroModule):  # type: ignore[misc]
     """A Pyro guide over the latent sites of a :class:`swarmssm.models.SwarmModel`.
 
@@ -115,6 +119,20 @@ class PathGuide(SwarmGuide):
         enters).
         """
         raise TypeError(f"{type(self).__name__} must define path(batch, values)")
+
+    def mean_path(self, batch: SwarmBatch, values: Mapping[str, torch.Tensor]) -> torch.Tensor:
+        """Return the mean of the path of each window, ``(batch, time, individual, state)``.
+
+        Here that of :data:`MEAN_DRAWS` draws; a subclass that knows it says it at once.
+
+        Parameters
+        ----------
+        batch, values
+            As in :meth:`path`.
+        """
+        many = batch.select(torch.arange(len(batch), device=batch.mask.device).repeat(MEAN_DRAWS))
+        states, _ = self.path(many, values)
+        return torch.unflatten(states, 0, (MEAN_DRAWS, len(batch))).mean(0)
 
     def forward(self, batch: SwarmBatch) -> None:
         """Sample the parameters, then the paths."""

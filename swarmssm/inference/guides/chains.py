@@ -261,7 +261,7 @@ class KinematicChain(Chain):
         seen_p, seen_v, told_p, told_v = (
             part.movedim(1, 0)
             for whole in (sightings.precision, sightings.location * sightings.precision)
-            for part in whole.split(self.space, -1)
+            for part in whole.chunk(2, -1)
         )
         shape = law.drift.shape
         drift, noise, k, a = (
@@ -287,7 +287,7 @@ class KinematicChain(Chain):
             lost = drift * share
             shift = torch.stack([-lost * (m + k * width), -lost * a * width], -1)
             told = [told[0][:-1] + shift, told[0][-1:]]
-            back = _rows(back.unflatten(-1, (2, 2)), 2)
+            back = _rows(torch.unflatten(back, -1, (2, 2)), 2)
         else:
             back = scaled.new_zeros(0, pp[0].numel(), 2, 2)
         back = torch.cat([back, back.new_zeros(1, *back.shape[1:])])
@@ -313,7 +313,8 @@ class KinematicChain(Chain):
         felt = [seen_v * c + q for c, q in zip(common, vv, strict=True)]
         both = [seen_p * x + seen_v * q for x, q in zip(felt, pp, strict=True)]
         both[-1] = both[-1] + to
-        rows = torch.stack([*common, *seen, *pv, *felt, *both], -1).unflatten(-1, (5, 5))
+        rows = torch.stack([*common, *seen, *pv, *felt, *both], -1)
+        rows = torch.unflatten(rows, -1, (5, 5))
         return torch.cat([rows, rows.new_zeros(1, *rows.shape[1:])])
 
     def steps(self, sightings: Sightings, law: Law, start: Start, present: Tensor) -> "AxisSteps":
@@ -329,8 +330,8 @@ class KinematicChain(Chain):
         offset = share * law.drift + variance * (dt * axis.p[:, 1:] + axis.v[:, 1:])
         mean = start.mean.expand(sightings.location.shape)
         sure = start.variance.reciprocal().expand_as(mean)
-        sure_p, sure_v = sure.split(self.space, -1)
-        told_p, told_v = (mean * sure).split(self.space, -1)
+        sure_p, sure_v = sure.chunk(2, -1)
+        told_p, told_v = (mean * sure).chunk(2, -1)
         det = axis.det + sure_p * axis.vv + sure_v * axis.pp + sure_p * sure_v
         first = _Axis(
             axis.pp + sure_p, axis.pv, axis.vv + sure_v, det, axis.p + told_p, axis.v + told_v
@@ -351,7 +352,7 @@ class KinematicChain(Chain):
         """Return the scales of independent velocities; see :meth:`Chain.spread`."""
         stays, _ = who_moves(present)
         stays = stays.unsqueeze(-1).to(law.drift.dtype)
-        seen_p, seen_v = sightings.precision.split(self.space, -1)
+        seen_p, seen_v = sightings.precision.chunk(2, -1)
         # A velocity shifts all later positions until its individual leaves.
         onward = functional.pad(stays, (0, 0, 0, 0, 0, 1)).expand_as(seen_p).movedim(1, 0)
         shifted = linear_scan(onward, seen_p.movedim(1, 0), reverse=True).movedim(0, 1)
@@ -367,7 +368,7 @@ class KinematicChain(Chain):
         """Return the path; see :meth:`Chain.join`."""
         stays, comes = who_moves(present)
         stays, comes = stays.unsqueeze(-1), comes.unsqueeze(-1)
-        first_p, first_v = torch.where(comes, first, 0.0).split(self.space, -1)
+        first_p, first_v = torch.where(comes, first, 0.0).chunk(2, -1)
         moved = torch.where(stays, self.dt * free, 0.0)
         v = torch.cat([first_v[:, :1], torch.where(stays, free, first_v[:, 1:])], 1)
         onward = functional.pad(stays.to(v.dtype), (0, 0, 0, 0, 1, 0)).expand_as(v)
@@ -441,7 +442,8 @@ class AxisSteps(Steps):
         arrived = torch.stack(arrived.chunk(2, -1), -1)
         moved = torch.where(self.stays.unsqueeze(-1), offset, 0.0)
         later = arrived[:, 1:] + torch.stack([dt * moved, moved], -1)
-        gain = functional.pad(gain, (0, 0, 0, 0, 0, 0, 1, 0)).unflatten(-1, (2, 2)).movedim(1, 0)
+        gain = functional.pad(gain, (0, 0, 0, 0, 0, 0, 1, 0))
+        gain = torch.unflatten(gain, -1, (2, 2)).movedim(1, 0)
         shift = torch.cat([arrived[:, :1], later], 1).movedim(1, 0)
         path = linear_scan(_rows(gain, 2), _rows(shift, 1)).reshape(shift.shape).movedim(0, 1)
         return torch.cat([path[..., 0], path[..., 1]], -1)

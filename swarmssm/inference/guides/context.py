@@ -79,7 +79,7 @@ class SwarmContext(nn.Module):
             heard, around, sees = torch.zeros_like(own), torch.zeros_like(nodes), 0.0 * there
         else:
             both, has_neighbor = neighbor_mean(torch.cat([self.message(own), nodes], -1), graph)
-            heard, around = both.split([own.shape[-1], nodes.shape[-1]], -1)
+            heard, around = torch.split(both, [own.shape[-1], nodes.shape[-1]], -1)
             sees = has_neighbor.to(nodes.dtype)
             around = around - nodes * sees
         mixed = self.mixed(torch.cat([own, heard, around, sees], -1)).tanh()

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 import torch
 from torch import Tensor, nn
+from torch.func import jacrev
 
 from swarmssm.errors import InputError
 from swarmssm.graphs import EdgeList, Graph
@@ -86,7 +87,7 @@ class FollowingGuide(PathGuide):
         Width of the network.
     passes
         How many times a reference is made. After the first, it follows the model's law about the
-        one before.
+        one before. Gradients do not flow through references.
 
     Raises
     ------
@@ -140,6 +141,15 @@ class FollowingGuide(PathGuide):
         with self.model.fixed(values):
             return self._setting(batch)
 
+    def mean_path(self, batch: SwarmBatch, values: Mapping[str, Tensor]) -> Tensor:
+        """Return the mean path of each individual; see :meth:`PathGuide.mean_path`.
+
+        What neighbours add when they leave the reference path is left out.
+        """
+        known = self.setting(batch, values)
+        steps = self.chain.steps(known.sightings, known.law, known.start, batch.present)
+        return known.reference + steps.mean(known.reference)
+
     def _setting(self, batch: SwarmBatch) -> Setting:
         initial = self.model.initial()
         shape = (*batch.observations.shape[:-1], self.chain.state_dim)
@@ -162,7 +172,7 @@ class FollowingGuide(PathGuide):
         nodes = self._nodes(batch, reference, mean, variance, sightings, law)
         told = self.correct(self.context(nodes, graph, batch.present))
         told = BOUND * (told / BOUND).tanh()
-        drift, noise, seen, sure, gains, own = told.split(self.parts, -1)
+        drift, noise, seen, sure, gains, own = torch.split(told, self.parts, -1)
         sightings = Sightings(
             sightings.location + seen * _inverse_root(sightings.precision),
             sightings.precision * (-sure).exp(),
@@ -213,7 +223,7 @@ class FollowingGuide(PathGuide):
             ratio = (law.noise * torch.where(known, seen, 1.0)).sqrt() * known
             ratio = ratio.mean(-1, keepdim=True)
             k, a = law.gains
-            gains_k, gains_a = gains.split(1, -1)
+            gains_k, gains_a = gains.chunk(2, -1)
             return Law(
                 law.drift + drift * scale,
                 law.noise * noise.exp(),
@@ -308,7 +318,8 @@ class FollowingGuide(PathGuide):
             return torch.maximum(free.expand(least.shape), least)
         matrix = covariance_of(following)
         matrix = matrix.expand(*variance.shape, matrix.shape[-1])
-        return torch.linalg.cholesky(matrix + LEAST_VARIANCE * torch.diag_embed(variance))
+        root: Tensor = torch.linalg.cholesky(matrix + LEAST_VARIANCE * torch.diag_embed(variance))
+        return root
 
     def _noise_like(self, variance: Tensor) -> Tensor:
         """Return any noise of the right shape, for windows without a step."""
@@ -385,7 +396,7 @@ def _features_shown(emission: Emission, state_dim: int) -> list[int] | None:
     with torch.random.fork_rng():
         weight = next((p for p in emission.parameters()), None)
         zero = torch.zeros(state_dim, dtype=None if weight is None else weight.dtype)
-        jacobian = torch.autograd.functional.jacobian(mean_of, zero)
+        jacobian = jacrev(mean_of)(zero)
     shown = jacobian.abs().argmax(-1)
     selection = torch.nn.functional.one_hot(shown, state_dim).to(jacobian.dtype)
     if not torch.equal(jacobian, selection) or len(set(shown.tolist())) < len(shown):

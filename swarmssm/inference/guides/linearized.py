@@ -7,8 +7,8 @@ import torch
 
 from swarmssm.errors import InputError
 from swarmssm.inference.filtering.evidence import ITERATIONS, linearization_points
-from swarmssm.inference.filtering.kalman import kalman
-from swarmssm.inference.filtering.layouts import Layout, frames_of
+from swarmssm.inference.filtering.kalman import Filtered, kalman, smooth
+from swarmssm.inference.filtering.layouts import Frames, Layout, frames_of
 from swarmssm.inference.filtering.paths import draw_paths, path_log_density
 from swarmssm.inference.guides.base import PathGuide
 from swarmssm.models import KinematicTransition, StateSpaceModel, SwarmBatch
@@ -78,16 +78,28 @@ class LinearizedGuide(PathGuide):
         self, batch: SwarmBatch, values: Mapping[str, torch.Tensor]
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Draw a path for each window, differentiably in the parameters at held points."""
+        frames, filtered = self._filter(batch, values)
+        rows = draw_paths(filtered, 1)
+        density = path_log_density(filtered, rows).squeeze(0)
+        dtype = batch.observations.dtype
+        return frames.paths(rows.squeeze(0)).to(dtype), frames.total(density).to(dtype)
+
+
+    def mean_path(self, batch: SwarmBatch, values: Mapping[str, torch.Tensor]) -> torch.Tensor:
+        """Return the smoothed mean of each window; see :meth:`PathGuide.mean_path`."""
+        frames, filtered = self._filter(batch, values)
+        return frames.paths(smooth(filtered).mean).to(batch.observations.dtype)
+
+    def _filter(
+        self, batch: SwarmBatch, values: Mapping[str, torch.Tensor]
+    ) -> tuple[Frames, Filtered]:
+        """Filter windows with the model linearised at their most probable path."""
         points = linearization_points(
             self.model, batch, values, layout=self.layout, iterations=self.iterations
         )
         with self.model.fixed(values):
             frames = frames_of(self.model, batch, self.layout)
-            filtered = kalman(frames.system(points))
-        rows = draw_paths(filtered, 1)
-        density = path_log_density(filtered, rows).squeeze(0)
-        dtype = batch.observations.dtype
-        return frames.paths(rows.squeeze(0)).to(dtype), frames.total(density).to(dtype)
+            return frames, kalman(frames.system(points))
 
 
 def _check(model: StateSpaceModel) -> None:

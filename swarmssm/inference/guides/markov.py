@@ -47,7 +47,7 @@ class MarkovGuide(FollowingGuide):
         model: StateSpaceModel,
         parameters: str = "multivariate",
         hidden: int = 32,
-        passes: int = 1,
+        passes: int = 2,
         coupling: bool = True,
     ) -> None:
         super().__init__(model, parameters, hidden, passes)

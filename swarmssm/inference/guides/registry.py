@@ -15,7 +15,6 @@ __all__ = ["GUIDES", "find_guide", "usual_guide"]
 GUIDES: dict[str, Any] = {
     "encoder": GraphEncoderGuide,
     "linearized": LinearizedGuide,
-    "linearized": LinearizedGuide,
     "markov": MarkovGuide,
     "parameters": ParameterGuide,
     "smoothing": SmoothingGuide,

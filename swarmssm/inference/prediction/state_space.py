@@ -12,6 +12,7 @@ from swarmssm.errors import InputError
 from swarmssm.graphs import GraphRule, dense
 from swarmssm.inference.data import Prepared, frames_of
 from swarmssm.inference.guides import PathGuide
+from swarmssm.inference.guides.base import MEAN_DRAWS
 from swarmssm.inference.prediction.base import Beginning, Predictor, Trajectory
 from swarmssm.inference.starting import MAX_CARRY
 from swarmssm.models import ObservedEdges, StateSpaceModel, StepInputs, SwarmBatch
@@ -20,8 +21,6 @@ from swarmssm.scaling import Scaler
 
 __all__ = ["StateSpacePredictor"]
 
-#: Draws that stand for an expectation where none are asked for.
-MEAN_DRAWS = 20
 #: Longest piece of a trial that is smoothed at once, and how far it looks beyond its ends.
 PIECE, MARGIN = 500, 50
 #: Elements of the largest tensor of one chunk of windows.
@@ -128,8 +127,7 @@ class StateSpacePredictor(Predictor):
         elif draws:
             states, values = self._draw(batch, draws, last=True)
         else:
-            drawn, _ = self._draw(batch, MEAN_DRAWS, last=True, middle=True)
-            states = drawn.mean(0)
+            states = self._mean_of_last(batch)
         present = present.expand(states.shape[:-1])
         graph = self._graph(states, present, graph.expand(*present.shape, present.shape[-1]))
         own = self.scaler.inverse_tensor(states.to(torch.float64))
@@ -158,7 +156,7 @@ class StateSpacePredictor(Predictor):
         return replace(batch, present=come & recent)
 
     def _draw(
-        self, batch: SwarmBatch, draws: int, *, last: bool = False, middle: bool = False
+        self, batch: SwarmBatch, draws: int, *, last: bool = False
     ) -> tuple[torch.Tensor, tuple[Values, ...] | None]:
         """Draw paths ``(draw, batch, time, individual, state)`` and the parameters they go with.
 
@@ -170,17 +168,14 @@ class StateSpacePredictor(Predictor):
             How many.
         last
             Whether the last frame alone is wanted.
-        middle
-            Whether parameters take the middle of their posterior.
         """
         names = priors_of(self.model)
         kept = slice(-1, None) if last else slice(None)
         paths, values = [], []
         with torch.no_grad(), pyro.validation_enabled(False):
-            if isinstance(self.guide, PathGuide) and (middle or not names):
-                fixed = self._middle()
+            if isinstance(self.guide, PathGuide) and not names:
                 many = batch.select(torch.arange(len(batch)).repeat(draws))
-                path, _ = self.guide.path(many, fixed)
+                path, _ = self.guide.path(many, {})
                 path = torch.unflatten(path, 0, (draws, len(batch)))[:, :, kept]
                 return (path[:, :, 0] if last else path), None
             for _ in range(draws):
@@ -189,6 +184,14 @@ class StateSpacePredictor(Predictor):
                 paths.append(path[:, 0] if last else path)
                 values.append({name: trace.nodes[name]["value"] for name in names})
         return torch.stack(paths), tuple(values) if names else None
+
+    def _mean_of_last(self, batch: SwarmBatch) -> torch.Tensor:
+        """Return the expected state of the last frame, parameters in the middle."""
+        if isinstance(self.guide, PathGuide):
+            with pyro.validation_enabled(False):
+                return self.guide.mean_path(batch, self._middle())[:, -1]
+        drawn, _ = self._draw(batch, MEAN_DRAWS, last=True)
+        return drawn.mean(0)
 
     def _draw_parameters(self, draws: int) -> tuple[Values, ...] | None:
         """Draw the parameters alone, where states are known."""

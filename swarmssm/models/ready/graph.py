@@ -29,8 +29,8 @@ def graph_ssm(
     positions: bool = True,
     speed_limits: bool = True,
     symmetries: Symmetries = "none",
-    noise: Noise = "constant",
-    tails: Tails = "gaussian",
+    noise: Noise = "state",
+    tails: Tails = "student",
     observed: Literal["positions", "states"] = "positions",
     observation_noise: float | None = None,
     edges: str = "observed",
@@ -38,7 +38,9 @@ def graph_ssm(
 ) -> StateSpaceModel:
     """Return a state-space model whose law of motion is a gated graph network.
 
-    Before training it is constant velocity, seen with the tracking noise that the tracks show.
+    Before training it is constant velocity, seen with the tracking noise that the tracks show. By
+    default the noise of the motion is that of animals: heavy-tailed, and other in other states. In
+    simulations it may be known to be Gaussian and constant, which is learned sooner.
 
     Parameters
     ----------

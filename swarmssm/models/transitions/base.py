@@ -9,6 +9,7 @@ from torch.func import jacfwd, vmap
 
 from swarmssm.models.batch import SwarmBatch
 from swarmssm.models.kinematic import Kinematic
+from swarmssm.models.layers import check_sizes
 from swarmssm.models.markov import StepInputs
 
 __all__ = ["KinematicTransition", "Linearization", "Transition", "covariance_of"]
@@ -45,10 +46,16 @@ class Transition(PyroModule):  # type: ignore[misc]
     ----------
     state_dim
         Features of a state.
+
+    Raises
+    ------
+    ValueError
+        If it is no positive whole number.
     """
 
     def __init__(self, state_dim: int) -> None:
         super().__init__()
+        check_sizes(state_dim=state_dim)
         self.state_dim = state_dim
 
     @property
@@ -188,6 +195,32 @@ class KinematicTransition(Transition):
         """Return the distribution of the next states."""
         positions, velocities = states[..., : self.space], states[..., self.space :]
         return Kinematic(positions, self.velocity(positions, velocities, inputs), self.dt)
+
+    def linearize_velocity(
+        self,
+        mean: torch.Tensor,
+        inputs: StepInputs,
+        covariance: torch.Tensor | None = None,
+    ) -> Linearization:
+        """Return what :meth:`linearize` says of the next velocities, from which positions follow.
+
+        Parameters
+        ----------
+        mean, inputs, covariance
+            As in :meth:`linearize`.
+
+        Returns
+        -------
+        Means ``(..., individual, space)``, Jacobian ``(..., individual, space, individual, state)``
+        and noise ``(..., individual, space, space)``.
+        """
+        line = self.linearize(mean, inputs, covariance)
+        half = self.space
+        return Linearization(
+            line.mean[..., half:],
+            line.jacobian[..., half:, :, :],
+            line.noise[..., half:, half:],
+        )
 
     def free(self, states: torch.Tensor) -> torch.Tensor:
         """Return the velocities."""

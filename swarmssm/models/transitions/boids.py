@@ -252,7 +252,22 @@ class BoidsTransition(KinematicTransition):
     def linearize(
         self, mean: Tensor, inputs: StepInputs, covariance: Tensor | None = None
     ) -> Linearization:
-        r"""Linearise at given states, in closed form.
+        """Linearise at given states, in closed form; see :meth:`linearize_velocity`."""
+        space, dt = self.space, self.dt
+        eye = torch.eye(space, dtype=mean.dtype, device=mean.device)
+        each = torch.eye(mean.shape[-2], dtype=mean.dtype, device=mean.device)[:, None, :, None]
+        moved, jacobian, noise = self.linearize_velocity(mean, inputs, covariance)
+        still = torch.cat([eye, torch.zeros_like(eye)], -1)
+        jacobian = torch.cat([dt * jacobian + each * still[:, None, :], jacobian], -3)
+        following = torch.cat([mean[..., :space] + dt * moved, moved], -1)
+        # The same noise moves the position, dt times as far.
+        block = torch.cat([dt * noise, noise], -1)
+        return Linearization(following, jacobian, torch.cat([dt * block, block], -2))
+
+    def linearize_velocity(
+        self, mean: Tensor, inputs: StepInputs, covariance: Tensor | None = None
+    ) -> Linearization:
+        r"""Linearise the next velocities at given states, in closed form.
 
         Walls and limits have kinks, and multiplicative noise depends on the speed. With a
         covariance these are averaged over the uncertainty of each individual's own state, so that
@@ -265,9 +280,9 @@ class BoidsTransition(KinematicTransition):
         Parameters
         ----------
         mean, inputs, covariance
-            As in :meth:`Transition.linearize`.
+            As in :meth:`KinematicTransition.linearize_velocity`.
         """
-        space, dt = self.space, self.dt
+        space = self.space
         eye = torch.eye(space, dtype=mean.dtype, device=mean.device)
         each = torch.eye(mean.shape[-2], dtype=mean.dtype, device=mean.device)[:, None, :, None]
         velocities = mean[..., space:]
@@ -293,11 +308,7 @@ class BoidsTransition(KinematicTransition):
             shape = jacobian.shape
             jacobian = (limited.gain @ jacobian.flatten(-2)).reshape(shape)
             noise = variance[..., None, None] * (limited.gain @ limited.gain.mT) + limited.residual
-        still = torch.cat([eye, torch.zeros_like(eye)], -1)
-        jacobian = torch.cat([dt * jacobian + each * still[:, None, :], jacobian], -3)
-        lift = torch.cat([dt * eye, eye])
-        following = torch.cat([mean[..., :space] + dt * moved, moved], -1)
-        return Linearization(following, jacobian, lift @ noise @ lift.mT)
+        return Linearization(moved, jacobian, noise)
 
     @property
     def _limits(self) -> tuple[Tensor | float, Tensor | float]:

@@ -68,9 +68,9 @@ class PairLaw(NamedTuple):
         kc, ks, ka = (g[..., None] for g in (self.cohesion, self.separation, self.alignment))
         power = self.exponent[..., None] + 1.0
         adjacency = adjacency.to(states.dtype)
-        # (..., i, j, state): what j has more than i.
-        away = states.unsqueeze(-3) - states.unsqueeze(-2)
-        offset = away[..., :space]
+        positions, velocities = states[..., :space], states[..., space:]
+        # (..., i, j, space): from i to j.
+        offset = positions.unsqueeze(-3) - positions.unsqueeze(-2)
         squared = offset.square().sum(-1)
         apart = squared > 0
         squared = torch.where(apart, squared, 1.0)
@@ -88,48 +88,43 @@ class PairLaw(NamedTuple):
         total = torch.where(total > 0, total, 1.0)
         pull = some * weight / total
 
-        softened = squared + self.softening**2
-        strength = torch.where(apart, softened ** (-0.5 * power), 0.0)
-        push = ks * weight * strength
-        # Means over neighbours of all features of the difference: cohesion and alignment.
-        mean = (pull.unsqueeze(-2) @ away).squeeze(-2)
-        force = (
-            kc * mean[..., :space]
-            + ka * mean[..., space:]
-            - (push.unsqueeze(-2) @ offset).squeeze(-2)
+        softened = squared + self.softening**2 if self.softening else squared
+        strength = softened ** (-0.5 * power)
+        push = ks * strength * torch.where(apart, weight, 0.0)
+        # Cohesion and separation are along the offset, with this factor.
+        along = kc * pull - push
+        mean = pull @ velocities
+        force = (along.unsqueeze(-2) @ offset).squeeze(-2) + ka * (
+            mean - some * velocities if self.relative else mean
         )
-        if not self.relative:
-            force = force + ka * some * states[..., space:]
 
         eye = torch.eye(space, dtype=states.dtype, device=states.device)[:, None, :]
         # Layout (..., i, a, j, b).
-        along = offset.mT.unsqueeze(-1)
-        twist = (power * push / softened)[..., None, :, None]
-        by_position = (kc * pull - push)[..., None, :, None] * eye + (
-            twist * along * offset.unsqueeze(-3)
+        twist = (push * (power / softened))[..., None, :, None]
+        by_position = along[..., None, :, None] * eye + (
+            twist * offset.mT.unsqueeze(-1) * offset.unsqueeze(-3)
         )
         if self.radius is not None and self.width is not None:
             # Here weights change with distance too. Of the changes of the weighted mean, of the
             # probability of any neighbour, and of the push:
-            change = -weight / self.width[..., None] / distance.where(apart, 1.0)
-            change = torch.where(apart, change, 0.0)
+            change = weight / self.width[..., None] / torch.where(apart, distance, 1.0)
+            change = torch.where(apart, -change, 0.0)
             fade = 1.0 - share
-            centre = mean / some.clamp(min=torch.finfo(some.dtype).tiny)
-            gain = torch.cat([kc.expand_as(mean[..., :space]), ka.expand_as(mean[..., space:])], -1)
+            away = states.unsqueeze(-3) - states.unsqueeze(-2)
+            centre = (weight.unsqueeze(-2) @ away).squeeze(-2) / total
             lever = (some * fade / total).unsqueeze(-1) * (away - centre.unsqueeze(-2))
-            none = 1.0 - some
             alone = centre if self.relative else centre + _velocity_part(states)
-            lever = gain.unsqueeze(-2) * (lever + (none * alone).unsqueeze(-2))
-            lever = lever[..., :space] + lever[..., space:]
-            lever = lever - (ks * fade * strength).unsqueeze(-1) * offset
+            lever = lever + ((1.0 - some) * alone).unsqueeze(-2)
+            lever = kc[..., None] * lever[..., :space] + ka[..., None] * lever[..., space:]
+            lever = lever - (ks * fade * torch.where(apart, strength, 0.0)).unsqueeze(-1) * offset
             by_position = by_position + lever.mT.unsqueeze(-1) * (
                 change.unsqueeze(-1) * offset
             ).unsqueeze(-3)
         by_velocity = (ka * pull)[..., None, :, None] * eye
-        shape = torch.broadcast_shapes(by_position.shape, by_velocity.shape)  # type: ignore[no-untyped-call]
-        pairs = torch.cat([by_position.expand(shape), by_velocity.expand(shape)], -1)
+        if by_position.shape != by_velocity.shape:
+            by_position, by_velocity = torch.broadcast_tensors(by_position, by_velocity)  # type: ignore[no-untyped-call]
         own = torch.zeros_like(some) if self.relative else ka * some
-        return SocialForce(force, pairs, own.squeeze(-1))
+        return SocialForce(force, torch.cat([by_position, by_velocity], -1), own.squeeze(-1))
 
 
 def _velocity_part(states: Tensor) -> Tensor:

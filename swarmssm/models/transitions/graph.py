@@ -29,7 +29,7 @@ __all__ = ["GraphTransition", "Noise", "Symmetries", "Tails"]
 
 Noise = Literal["constant", "state"]
 Tails = Literal["gaussian", "student"]
-Symmetries = Literal["none", "mirror", "square"]
+Symmetries = Literal["none", "mirror", "square", "circle"]
 
 #: The noise of an individual may be this many times the common one, or that part of it.
 NOISE_RANGE = 100.0
@@ -70,10 +70,10 @@ class GraphTransition(KinematicTransition):
         Whether speeds are drawn into a learned interval
         (:class:`~swarmssm.models.transitions.SoftSpeedLimits`).
     symmetries
-        In what mirror the law looks the same: ``"none"``; ``"mirror"``, along each axis, as in a
-        rectangle or a circle; ``"square"``, with the axes exchanged as well. Training then sees
-        images of the windows (:meth:`augmented`), and the centre is learned: a centre that is
-        wrong by a twentieth of the arena costs more than all else that is left to learn.
+        Those of the arena: ``"none"``; ``"mirror"``, along each axis, as in a rectangle;
+        ``"square"``, with the axes exchanged as well; ``"circle"``, turned by any angle. Training
+        then sees images of the windows (:meth:`augmented`), and the centre is learned: one that is
+        wrong by a fiftieth of the arena costs more than all else that is left to learn.
     noise
         ``"constant"``: one :math:`\sigma`; ``"state"``: it depends on the state, through a further
         output of the network.
@@ -170,8 +170,7 @@ class GraphTransition(KinematicTransition):
         """
         if self.symmetries == "none":
             return batch
-        swap_axes = self.symmetries == "square"
-        return reflected(batch, self.centre, swap_axes=swap_axes)
+        return reflected(batch, self.centre, self.symmetries)
 
     def velocity(
         self, positions: torch.Tensor, velocities: torch.Tensor, inputs: StepInputs

@@ -1,6 +1,7 @@
 """Linear Gaussian swarms, and the dense joint Gaussian of a window of one."""
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pyro.distributions as dist
@@ -20,8 +21,16 @@ from swarmssm.models import (
 from swarmssm.models.parameters import assign
 from swarmssm.models.transitions import Transition
 
+#: Said by torch of itself, the first time that it differentiates forwards.
+OWN_WARNING = "ignore:.torch.jit.script. is deprecated:DeprecationWarning"
 DOUBLE = torch.float64
 SPACE, STATE = 2, 4
+
+
+def pytest_collection_modifyitems(items):
+    for item in items:
+        if item.path.parent == Path(__file__).parent:
+            item.add_marker(pytest.mark.filterwarnings(OWN_WARNING))
 
 
 class Springs(KinematicTransition):

@@ -27,6 +27,15 @@ def test_a_linear_model_needs_no_iterations(kind, linear_swarm, windows):
         assert (found.change < 1e-6).all()
 
 
+@pytest.mark.parametrize("kind", ["general", "kinematic"])
+def test_a_single_frame_has_no_steps_to_linearize(kind, linear_swarm, windows):
+    model, batch = linear_swarm(kind), windows(times=1)
+    exact = extended_kalman(model, batch, {})
+    for linearizer in (None, SigmaPoints()):
+        found = iterated_smoother(model, batch, {}, 1, linearizer)
+        torch.testing.assert_close(found.log_evidence, exact.log_evidence)
+
+
 def joint_density(model, batch, paths):
     seen = model.emission(paths).mask(batch.mask).to_event(2).log_prob(batch.observations)
     return model.chain(batch, {}).log_prob(paths) + seen

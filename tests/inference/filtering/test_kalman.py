@@ -19,7 +19,8 @@ from swarmssm.inference.filtering import (
     smooth,
     unscented_kalman,
 )
-from swarmssm.inference.filtering.affine import Taylor, root
+from swarmssm.inference.filtering.affine import Taylor
+from swarmssm.inference.filtering.matrices import root
 from swarmssm.models import LatentEdges, StateSpaceModel
 
 SPACE, STATE = 2, 4
