@@ -102,8 +102,8 @@ def main() -> None:
         python = environment(options.jax_environment or Path(folder) / "environment")
         rival = Jax(python, data, options.threads)
         theirs, (value, gradient) = rival(), evaluate(method="extended")
-        np.testing.assert_allclose(value, theirs["value"], rtol=1e-9)
-        np.testing.assert_allclose(gradient, theirs["gradient"], rtol=1e-6)
+        np.testing.assert_allclose(value, theirs["value"], rtol=1e-8)
+        np.testing.assert_allclose(gradient, theirs["gradient"], rtol=1e-5)
         ours = {
             "extended": lambda: evaluate(method="extended"),
             "iterated": lambda: evaluate(method="iterated", points=points),

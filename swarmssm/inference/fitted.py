@@ -30,7 +30,7 @@ __all__ = ["Fit"]
 
 EDGE_SOURCES = ("decoder", "rule")
 #: Frames of history from which a state-space model is filtered at most.
-HISTORY = 100
+HISTORY = 50
 
 
 @dataclass(frozen=True)

@@ -268,8 +268,8 @@ class _Problem:
             self._move_points(place)
             if settled or rounds == ROUNDS:
                 break
-            if rounds <= 2:
-                unit = self._unit(self._hessian(place))
+            if rounds == 1:
+                unit = self._unit(self._hessian(place, forward=True))
         return self._finish(place, rounds)
 
     def _maximise(self, place: Any, unit: Any, steps: int) -> Any:
@@ -285,15 +285,16 @@ class _Problem:
         )
         return found.x
 
-    def _hessian(self, place: Any) -> Any:
+    def _hessian(self, place: Any, *, forward: bool = False) -> Any:
         """Return the Hessian in the parameters with a prior, by differences of gradients."""
         rows = []
-        for index in range(self.number):
-            step = np.zeros_like(place)
-            step[index] = DIFFERENCE
-            rows.append(self(place + step)[1] - self(place - step)[1])
-        hessian = np.array(rows)[:, : self.number].reshape(self.number, self.number)
-        return 0.25 * (hessian + hessian.T) / DIFFERENCE
+        here = self(place)[1] if forward else None
+        for step in DIFFERENCE * np.eye(len(place))[: self.number]:
+            ahead = self(place + step)[1]
+            rows.append(ahead - (self(place - step)[1] if here is None else here))
+        hessian = np.array(rows).reshape(self.number, len(place))[:, : self.number]
+        width = DIFFERENCE if forward else 2.0 * DIFFERENCE
+        return 0.5 * (hessian + hessian.T) / width
 
     def _unit(self, hessian: Any) -> Any:
         """Return the matrix that makes standard deviations out of units."""

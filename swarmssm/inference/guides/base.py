@@ -6,10 +6,10 @@ from typing import Any, ClassVar, Self
 import pyro
 import pyro.distributions as dist
 import torch
-from pyro.nn import PyroModule
 
 from swarmssm.inference.guides.parameters import GlobalGuide
 from swarmssm.models import StateSpaceModel, SwarmBatch, SwarmModel
+from swarmssm.models.parts import Part
 
 __all__ = ["OneStepGuide", "ParameterGuide", "PathGuide", "SwarmGuide"]
 
@@ -18,7 +18,7 @@ __all__ = ["OneStepGuide", "ParameterGuide", "PathGuide", "SwarmGuide"]
 MEAN_DRAWS = 20
 
 
-class SwarmGuide(PyroModule):  # type: ignore[misc]
+class SwarmGuide(Part):
     """A Pyro guide over the latent sites of a :class:`swarmssm.models.SwarmModel`.
 
     A subclass writes :meth:`for_model`, which builds it, and :meth:`forward`, a Pyro guide that
@@ -119,6 +119,28 @@ class PathGuide(SwarmGuide):
         enters).
         """
         raise TypeError(f"{type(self).__name__} must define path(batch, values)")
+
+    def last_state(
+        self, batch: SwarmBatch, values: Mapping[str, torch.Tensor], draws: int
+    ) -> torch.Tensor:
+        """Draw the state of the last frame of each window, which it ends with.
+
+        Parameters
+        ----------
+        batch, values
+            As in :meth:`path`.
+        draws
+            How many; 0 for the mean.
+
+        Returns
+        -------
+        ``(draw, batch, individual, state)``; ``(batch, individual, state)`` of the mean.
+        """
+        if not draws:
+            return self.mean_path(batch, values)[:, -1]
+        many = batch.select(torch.arange(len(batch), device=batch.mask.device).repeat(draws))
+        states, _ = self.path(many, values)
+        return torch.unflatten(states[:, -1], 0, (draws, len(batch)))
 
     def mean_path(self, batch: SwarmBatch, values: Mapping[str, torch.Tensor]) -> torch.Tensor:
         """Return the mean of the path of each window, ``(batch, time, individual, state)``.

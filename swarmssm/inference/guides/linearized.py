@@ -7,8 +7,9 @@ import torch
 
 from swarmssm.errors import InputError
 from swarmssm.inference.filtering.evidence import ITERATIONS, linearization_points
-from swarmssm.inference.filtering.kalman import Filtered, kalman, smooth
-from swarmssm.inference.filtering.layouts import Frames, Layout, frames_of
+from swarmssm.inference.filtering.kalman import Filtered, extended_kalman, kalman, smooth
+from swarmssm.inference.filtering.layouts import JOINT_LIMIT, Frames, Layout, frames_of
+from swarmssm.inference.filtering.matrices import root
 from swarmssm.inference.filtering.paths import draw_paths, path_log_density
 from swarmssm.inference.guides.base import PathGuide
 from swarmssm.models import KinematicTransition, StateSpaceModel, SwarmBatch
@@ -31,8 +32,8 @@ class LinearizedGuide(PathGuide):
     the limits are averaged over: good for paths and for the evidence, but its draws may lie a
     little beyond the limits, where the model's own density is none, so that it has no ELBO.
 
-    There is nothing to train in it. Parameters of the model are fitted with the paths summed out, by
-    :func:`swarmssm.inference.fit_collapsed`.
+    There is nothing to train in it. Parameters of the model are fitted with the paths summed out,
+    by :func:`swarmssm.inference.fit_collapsed`.
 
     Parameters
     ----------
@@ -84,6 +85,35 @@ class LinearizedGuide(PathGuide):
         dtype = batch.observations.dtype
         return frames.paths(rows.squeeze(0)).to(dtype), frames.total(density).to(dtype)
 
+    def last_state(
+        self, batch: SwarmBatch, values: Mapping[str, torch.Tensor], draws: int
+    ) -> torch.Tensor:
+        """Draw the last state of each window by the extended Kalman filter alone.
+
+        No later frame could improve the linearisation, and the filter goes through the window once.
+        See :meth:`PathGuide.last_state`; the average model of a large swarm is searched as in
+        :meth:`path`.
+        """
+        if batch.num_individuals > JOINT_LIMIT or self.layout == "blocks":
+            return super().last_state(batch, values, draws)
+        filtered = extended_kalman(self.model, batch, values)
+        mean = filtered.mean[:, -1]
+        if not draws:
+            return mean
+        factor = root(filtered.covariance[:, -1])
+        noise = mean.new_empty(draws, *factor.shape[:-1]).normal_()
+        return mean + (factor @ noise.unsqueeze(-1)).reshape(draws, *mean.shape)
+
+    def filtered_mean(
+        self, batch: SwarmBatch, values: Mapping[str, torch.Tensor]
+    ) -> torch.Tensor | None:
+        """Return the mean of each state given the frames up to its own, in one pass.
+
+        ``(batch, time, individual, state)``; ``None`` for a swarm too large for a joint filter.
+        """
+        if batch.num_individuals > JOINT_LIMIT or self.layout == "blocks":
+            return None
+        return extended_kalman(self.model, batch, values).mean
 
     def mean_path(self, batch: SwarmBatch, values: Mapping[str, torch.Tensor]) -> torch.Tensor:
         """Return the smoothed mean of each window; see :meth:`PathGuide.mean_path`."""

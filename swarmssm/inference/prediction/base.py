@@ -132,7 +132,6 @@ class Predictor(ABC):
             Whether all that is random is drawn, or takes its mean.
         """
 
-
     def observe(self, states: torch.Tensor, beginning: Beginning) -> torch.Tensor:
         """Draw what is seen of states, positions in front; states themselves, if seen exactly.
 

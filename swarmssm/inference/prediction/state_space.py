@@ -11,7 +11,7 @@ import torch
 from swarmssm.errors import InputError
 from swarmssm.graphs import GraphRule, dense
 from swarmssm.inference.data import Prepared, frames_of
-from swarmssm.inference.guides import PathGuide
+from swarmssm.inference.guides import LinearizedGuide, PathGuide
 from swarmssm.inference.guides.base import MEAN_DRAWS
 from swarmssm.inference.prediction.base import Beginning, Predictor, Trajectory
 from swarmssm.inference.starting import MAX_CARRY
@@ -68,7 +68,7 @@ class StateSpacePredictor(Predictor):
         for batch, kept in self._pieces(prepared):
             # The parameters of a draw would have to be those of the pieces before: few draws of
             # them are not worth a seam, so each piece draws its own.
-            drawn, _ = self._draw(batch, max(draws, MEAN_DRAWS))
+            drawn = self._draw(batch, max(draws, MEAN_DRAWS))
             drawn = drawn.masked_fill(~batch.present.unsqueeze(-1), torch.nan)[:, :, kept]
             means.append(drawn.mean(0))
             sds.append(drawn.std(0))
@@ -94,16 +94,38 @@ class StateSpacePredictor(Predictor):
         trials = torch.arange(num_trials).repeat_interleave(num_times)
         rows = torch.arange(num_times).repeat(num_trials)
         size = max(1, CHUNK // (self.window * individuals * max(individuals, 16)))
+        whole = None if sample else self._begin_everywhere(prepared)
         states, edges = [], []
-        for trial, row in zip(torch.split(trials, size), torch.split(rows, size), strict=True):
-            beginning = self.begin(prepared, trial, row, int(sample))
-            path = self.run(beginning, 1, sample=sample)
+        for index in torch.split(torch.arange(len(rows)), size):
+            if whole is None:
+                start = self.begin(prepared, trials[index], rows[index], int(sample))
+            else:
+                parts = (whole.states, whole.adjacency, whole.present, whole.unscaled)
+                start = Beginning(*(part[index] for part in parts))
+            path = self.run(start, 1, sample=sample)
             lead = (0,) if sample else ()
             states.append(path.states[(*lead, slice(None), 0)])
             edges.append(path.edge_probability[(*lead, slice(None), 0)])
         shape = (num_trials, num_times)
-        whole = [torch.unflatten(torch.cat(part), 0, shape) for part in (states, edges)]
-        return whole[0], whole[1]
+        joined = [torch.unflatten(torch.cat(part), 0, shape) for part in (states, edges)]
+        return joined[0], joined[1]
+
+    @torch.no_grad()
+    def _begin_everywhere(self, prepared: Prepared) -> Beginning | None:
+        """Return the filtered mean at every frame, if the guide can filter whole trials at once."""
+        if not isinstance(self.guide, LinearizedGuide):
+            return None
+        trials = torch.arange(len(prepared.mask))
+        batch = frames_of(prepared, trials, torch.zeros_like(trials), prepared.mask.shape[1])
+        # Nobody is known to leave before the next frame is seen.
+        come = batch.mask.long().cumsum(1) > 0
+        with pyro.validation_enabled(False):
+            mean = self.guide.filtered_mean(replace(batch, present=come), self._middle())
+        if mean is None:
+            return None
+        present = batch.mask.flatten(0, 1)
+        graph = dense(batch.adjacency, mean.dtype).flatten(0, 1)
+        return self._beginning(mean.flatten(0, 1), present, graph)
 
     @torch.no_grad()
     def begin(
@@ -124,10 +146,18 @@ class StateSpacePredictor(Predictor):
         if self.model.emission is None:
             last = batch.observations[:, -1]
             states, values = last.expand(*shape, *last.shape), self._draw_parameters(draws)
-        elif draws:
-            states, values = self._draw(batch, draws, last=True)
         else:
-            states = self._mean_of_last(batch)
+            states, values = self._last_states(batch, draws)
+        return self._beginning(states, present, graph, values)
+
+    def _beginning(
+        self,
+        states: torch.Tensor,
+        present: torch.Tensor,
+        graph: torch.Tensor,
+        values: tuple[Values, ...] | None = None,
+    ) -> Beginning:
+        """Put a beginning together; the graph is made anew where the rule is known."""
         present = present.expand(states.shape[:-1])
         graph = self._graph(states, present, graph.expand(*present.shape, present.shape[-1]))
         own = self.scaler.inverse_tensor(states.to(torch.float64))
@@ -155,43 +185,37 @@ class StateSpacePredictor(Predictor):
         come = batch.mask.long().cumsum(1) > 0
         return replace(batch, present=come & recent)
 
-    def _draw(
-        self, batch: SwarmBatch, draws: int, *, last: bool = False
-    ) -> tuple[torch.Tensor, tuple[Values, ...] | None]:
-        """Draw paths ``(draw, batch, time, individual, state)`` and the parameters they go with.
-
-        Parameters
-        ----------
-        batch
-            Windows.
-        draws
-            How many.
-        last
-            Whether the last frame alone is wanted.
-        """
-        names = priors_of(self.model)
-        kept = slice(-1, None) if last else slice(None)
-        paths, values = [], []
+    def _draw(self, batch: SwarmBatch, draws: int) -> torch.Tensor:
+        """Draw paths ``(draw, batch, time, individual, state)``."""
         with torch.no_grad(), pyro.validation_enabled(False):
-            if isinstance(self.guide, PathGuide) and not names:
+            if isinstance(self.guide, PathGuide) and not priors_of(self.model):
                 many = batch.select(torch.arange(len(batch)).repeat(draws))
                 path, _ = self.guide.path(many, {})
-                path = torch.unflatten(path, 0, (draws, len(batch)))[:, :, kept]
-                return (path[:, :, 0] if last else path), None
-            for _ in range(draws):
-                trace = pyro.poutine.trace(self.guide).get_trace(batch)
-                path = trace.nodes["states"]["value"][:, kept]
-                paths.append(path[:, 0] if last else path)
-                values.append({name: trace.nodes[name]["value"] for name in names})
-        return torch.stack(paths), tuple(values) if names else None
+                return torch.unflatten(path, 0, (draws, len(batch)))
+            return torch.stack([self._trace(batch)[0] for _ in range(draws)])
 
-    def _mean_of_last(self, batch: SwarmBatch) -> torch.Tensor:
-        """Return the expected state of the last frame, parameters in the middle."""
-        if isinstance(self.guide, PathGuide):
-            with pyro.validation_enabled(False):
-                return self.guide.mean_path(batch, self._middle())[:, -1]
-        drawn, _ = self._draw(batch, MEAN_DRAWS, last=True)
-        return drawn.mean(0)
+    def _trace(self, batch: SwarmBatch) -> tuple[torch.Tensor, Values]:
+        """Draw one path of each window, and the parameters it goes with."""
+        nodes = pyro.poutine.trace(self.guide).get_trace(batch).nodes
+        return nodes["states"]["value"], {n: nodes[n]["value"] for n in priors_of(self.model)}
+
+    def _last_states(
+        self, batch: SwarmBatch, draws: int
+    ) -> tuple[torch.Tensor, tuple[Values, ...] | None]:
+        """Draw the state of the last frame, with the parameters it goes with; or its mean."""
+        named = bool(priors_of(self.model))
+        with pyro.validation_enabled(False):
+            if not isinstance(self.guide, PathGuide):
+                traces = [self._trace(batch) for _ in range(draws or MEAN_DRAWS)]
+                states = torch.stack([path[:, -1] for path, _ in traces])
+                if not draws:
+                    return states.mean(0), None
+                return states, tuple(values for _, values in traces) if named else None
+            if not (draws and named):
+                return self.guide.last_state(batch, self._middle(), draws), None
+            parameters = tuple(self.guide.parameters_guide() for _ in range(draws))
+            drawn = [self.guide.last_state(batch, values, 1)[0] for values in parameters]
+        return torch.stack(drawn), parameters
 
     def _draw_parameters(self, draws: int) -> tuple[Values, ...] | None:
         """Draw the parameters alone, where states are known."""

@@ -4,13 +4,13 @@ from typing import NamedTuple
 
 import torch
 from pyro.distributions import MultivariateStudentT, TorchDistribution
-from pyro.nn import PyroModule
 from torch.func import jacfwd, vmap
 
 from swarmssm.models.batch import SwarmBatch
 from swarmssm.models.kinematic import Kinematic
 from swarmssm.models.layers import check_sizes
 from swarmssm.models.markov import StepInputs
+from swarmssm.models.parts import Part
 
 __all__ = ["KinematicTransition", "Linearization", "Transition", "covariance_of"]
 
@@ -35,7 +35,7 @@ class Linearization(NamedTuple):
     noise: torch.Tensor
 
 
-class Transition(PyroModule):  # type: ignore[misc]
+class Transition(Part):
     """Law of motion :math:`p(z_t | z_{t-1}, G_{t-1})` of a swarm.
 
     A subclass writes :meth:`forward`. Parameters are attributes, given with

@@ -293,7 +293,8 @@ def _shorter(graph: Graph, like: torch.Tensor) -> Graph:
     """Return a matrix as a list of edges, where that saves many messages between pairs."""
     if isinstance(graph, EdgeList) or graph.numel() < FEW_PAIRS:
         return graph
-    if graph.requires_grad or graph.dim() > like.dim():
+    # Compiled code likes shapes that do not depend on the data.
+    if graph.requires_grad or graph.dim() > like.dim() or torch.compiler.is_compiling():
         return graph
     try:
         edges = EdgeList.from_dense(graph)
