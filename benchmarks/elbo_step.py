@@ -262,7 +262,8 @@ def contestants(
     scales: Scales, batch: SwarmBatch, options: argparse.Namespace, names: list[str]
 ) -> dict[str, Contestant]:
     """Return the ways to take steps, all with equal weights."""
-    check(batch, options)
+    if len(names) > 1:
+        check(batch, options)
     library = Library(scales, options)
     made = {}
     for name in names:

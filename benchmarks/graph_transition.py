@@ -131,7 +131,7 @@ def main() -> None:
     parser.add_argument("--width", type=int, default=64)
     parser.add_argument("--rounds", type=int, default=1)
     parser.add_argument("--symmetries", default="square")
-    parser.add_argument("--epochs", type=int, help="default: 24, and more with fewer data")
+    parser.add_argument("--epochs", type=int, help="default: 48, up to 240 with fewer data")
     parser.add_argument("--lr", type=float, default=0.02)
     parser.add_argument("--batch", type=int, default=32, help="windows")
     parser.add_argument("--window", type=int, default=10, help="frames")
@@ -139,7 +139,7 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=1)
     options = parser.parse_args()
     if options.epochs is None:
-        options.epochs = round(24 * min(10.0, 1.0 / options.fraction))
+        options.epochs = round(48 * min(5.0, 1.0 / options.fraction))
     torch.set_num_threads(options.threads)
     states = np.load(options.data)["X"]
     kept = states[:, : round(options.fraction * states.shape[1])].astype(float)

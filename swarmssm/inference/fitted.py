@@ -238,8 +238,8 @@ class Fit(Run):
         if isinstance(self.model, OneStepModel) and isinstance(self.guide, OneStepGuide):
             return OneStepPredictor(self.model, self.guide, scaler, rule, edges)
         raise InputError(
-            f"model: {self.settings.model} with guide {self.settings.guide} cannot predict; it must "
-            "be a StateSpaceModel, or a OneStepModel with a OneStepGuide."
+            f"model: {self.settings.model} with guide {self.settings.guide} cannot predict; it "
+            "must be a StateSpaceModel, or a OneStepModel with a OneStepGuide."
         )
 
     def forecast(

@@ -131,7 +131,6 @@ def fit(
         data = TrainingData(
             windows.to(device),
             None if validation is None else validation.to(device),
-            _centre(scales),
             _scores(run, training),
         )
         is_collapsed = isinstance(run.guide, LinearizedGuide)
@@ -217,11 +216,6 @@ def _prepared_run(
             f"scaler: {settings.model} is a state-space model and works in the tracks' own units; "
             "leave the scaler out, or choose none."
         )
-    if settings.symmetry != "none" and not isinstance(model, StateSpaceModel):
-        raise InputError(
-            f"symmetry: {settings.model} works on scaled axes, which a mirror does not keep; it is "
-            "for state-space models."
-        )
     preparation, _ = preparation_for(
         training,
         scaler=model.scaler if settings.scaler == "auto" else settings.scaler,
@@ -256,11 +250,6 @@ def _represented(windows: SwarmBatch, model: SwarmModel) -> SwarmBatch:
     if not isinstance(model, StateSpaceModel):
         return windows
     return replace(windows, adjacency=represent(windows.adjacency))
-
-
-def _centre(scales: Scales) -> tuple[float, ...]:
-    """Return the middle of the arena."""
-    return tuple(0.5 * (low + high) for low, high in zip(scales.low, scales.high, strict=True))
 
 
 def _sum_out(

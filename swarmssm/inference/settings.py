@@ -62,11 +62,6 @@ class FitSettings(pydantic.BaseModel):
     draws
         Draws of the latent states for each step: with more than one, the importance weighted bound
         is maximised, which is tighter than the ELBO.
-    symmetry
-        ``"none"``; or at each step every window is mirrored at random (``"mirror"``), or its axes
-        are exchanged too (``"square"``), about the middle of the arena: for laws of motion that
-        are the same in the mirror, of which a network then needs fewer data. State-space models
-        alone.
     clip
         Largest norm of the gradient of the loss per observed coordinate; absent, unbounded.
     seed
@@ -107,7 +102,6 @@ class FitSettings(pydantic.BaseModel):
     lr: pydantic.PositiveFloat = pydantic.Field(0.005, allow_inf_nan=False)
     schedule: Literal["constant", "cosine"] = "cosine"
     anneal: pydantic.PositiveInt | None = None
-    symmetry: Literal["none", "mirror", "square"] = "none"
     draws: pydantic.PositiveInt = 1
     clip: pydantic.PositiveFloat | None = 1.0
     seed: int = pydantic.Field(0, ge=0, lt=2**63)

@@ -19,7 +19,6 @@ from swarmssm.inference.checkpoints import Checkpoint, write_checkpoint
 from swarmssm.inference.guides import SwarmGuide
 from swarmssm.inference.settings import FitSettings
 from swarmssm.models import StateSpaceModel, SwarmBatch, SwarmModel
-from swarmssm.models.reflections import reflected
 
 __all__ = ["Progress", "TrainingData", "num_epochs", "quiet_pyro", "train"]
 
@@ -59,15 +58,12 @@ class TrainingData:
     ----------
     train, validation
         All windows of each part; there may be none to validate on.
-    centre
-        Middle of the arena, about which windows are mirrored.
     scores
         Called at each row of the history; returns named numbers to store beside the losses.
     """
 
     train: SwarmBatch
     validation: SwarmBatch | None
-    centre: tuple[float, ...] = ()
     scores: Callable[[], dict[str, float]] = field(default=dict)
 
 
@@ -270,11 +266,9 @@ class _Run:
                 group["lr"] = self.settings.lr * 0.5 * (1.0 + math.cos(math.pi * done))
         self.optimizer.zero_grad(set_to_none=True)
         batch = self.model.augmented(batch)
-        if self.settings.symmetry != "none":
-            batch = reflected(batch, self.data.centre, self.settings.symmetry)
         weight = annealing(self.step, self.settings.anneal or 0)
         loss = self.bound(batch, weight) / self.coordinates
-        loss.backward()  # type: ignore[no-untyped-call]
+        loss.backward()
         clip = math.inf if self.settings.clip is None else self.settings.clip
         norm = torch.nn.utils.clip_grad_norm_(self.parameters, clip)
         self.optimizer.step()

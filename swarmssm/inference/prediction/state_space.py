@@ -100,8 +100,12 @@ class StateSpacePredictor(Predictor):
             if whole is None:
                 start = self.begin(prepared, trials[index], rows[index], int(sample))
             else:
-                parts = (whole.states, whole.adjacency, whole.present, whole.unscaled)
-                start = Beginning(*(part[index] for part in parts))
+                start = Beginning(
+                    whole.states[index],
+                    whole.adjacency[index],
+                    whole.present[index],
+                    whole.unscaled[index],
+                )
             path = self.run(start, 1, sample=sample)
             lead = (0,) if sample else ()
             states.append(path.states[(*lead, slice(None), 0)])
