@@ -83,6 +83,7 @@ def table(rows: list[dict[str, dict[str, float]]]) -> None:
 
 
 def main() -> None:
+    """Run the data sets that are missing, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--datasets", type=int, default=100)
     parser.add_argument("--truth", choices=["prior", "fixed"], default="prior")

@@ -61,12 +61,14 @@ class Jax:
         self.version = self.process.stdout.readline().split()[1]
 
     def __call__(self) -> dict[str, object]:
+        """Evaluate once."""
         self.process.stdin.write("\n")
         self.process.stdin.flush()
         return json.loads(self.process.stdout.readline())
 
 
 def main() -> None:
+    """Time all in turn, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=9)
     parser.add_argument("--threads", type=int, default=2)

@@ -6,11 +6,14 @@ step is the negative ELBO, its gradient, and one step of Adam:
 *library*
     The path of states is one sample site, and all steps are scored in one call.
 *per step*
-    The same modules written as Pyro's tutorials write a state-space model: in model and guide a
-    ``pyro.sample`` for each frame, inside ``pyro.markov``. What the guide knows of a whole window
-    (its network, its smoother) it computes at once here too.
+    The same parts, put together as Pyro's tutorials write a state-space model: in model and guide a
+    ``pyro.sample`` for each frame, inside ``pyro.markov``, and in the model a call of the transition
+    for each, on a matrix of pairs, which for one frame is faster than a list of edges. Model and
+    guide are Pyro modules as the library's are, and Pyro checks as little: arguments of
+    distributions are not validated, and weights of ordinary networks are no statements. What the
+    guide knows of a whole window (its network, its smoother) it computes at once here too.
 *by hand*
-    The same network in plain torch: draws from the same guide, densities as formulas, no Pyro.
+    The same networks in plain torch: the guide's own draw, densities as formulas, no Pyro.
 *compiled*
     The library after ``torch.compile`` of the network, where a C++ compiler is found.
 
@@ -23,7 +26,6 @@ On one thread processor time is taken, which other work disturbs less than the c
 """
 
 import argparse
-import copy
 import math
 import os
 import platform
@@ -46,7 +48,8 @@ from torch import Tensor
 
 import swarmssm
 from swarmssm.graphs import EdgeList, GraphRule
-from swarmssm.inference.guides import find_guide
+from swarmssm.inference.guides import SmoothingGuide
+from swarmssm.inference.guides.following import FollowingGuide
 from swarmssm.inference.training import quiet_pyro
 from swarmssm.models import InitialStates, PositionEmission, Scales, StateSpaceModel, SwarmBatch
 from swarmssm.models.transitions import GraphTransition
@@ -95,37 +98,13 @@ def scales_for(batch: SwarmBatch) -> Scales:
     )
 
 
-class Library:
-    """Model and guide as the library has them, with weights that are not all zero."""
-
-    def __init__(self, scales: Scales, options: argparse.Namespace) -> None:
-        torch.manual_seed(0)
-        noise = PyroParam(torch.tensor(NOISE), constraint=constraints.positive)
-        self.model = StateSpaceModel(
-            InitialStates.for_scales(scales),
-            GraphTransition(scales, width=options.width),
-            PositionEmission(SPACE, noise),
-        )
-        self.guide = find_guide("smoothing").for_model(self.model, hidden=options.hidden)
-        with torch.no_grad():
-            for parameter in [*self.model.parameters(), *self.guide.parameters()]:
-                if parameter.dim() > 1 and not parameter.any():
-                    parameter.normal_(0.0, 0.01)
-
-    def loss(self) -> Callable[[SwarmBatch], Tensor]:
-        """Return the negative ELBO as a module."""
-        module: Callable[[SwarmBatch], Tensor] = Trace_ELBO()(self.model, self.guide)
-        return module
-
-
 class Posterior:
     """The guide's own factors, taken from what it is made of."""
 
-    def __init__(self, library: Library, batch: SwarmBatch) -> None:
-        guide = library.guide
+    def __init__(self, guide: FollowingGuide, batch: SwarmBatch) -> None:
         known = guide.setting(batch, {})
         parts = known.sightings, known.law, known.start, batch.present
-        mean = guide.chain.steps(*parts).mean(known.reference)
+        mean = guide.chain.mean(*parts)
         spread = guide.chain.spread(*parts)
         stretch, total = known.correction, known.reference + mean
         self.first = dist.Normal(total[:, 0], spread.first[:, 0] * stretch[:, 0].exp())
@@ -133,30 +112,36 @@ class Posterior:
         self.later = dist.Normal(total[:, 1:, :, SPACE:], scale)
 
 
-class PerStep:
-    """The same model and guide with a sample site for each frame."""
+class PerStepModel(StateSpaceModel):
+    """The same model with a sample site for each frame."""
 
-    def __init__(self, library: Library) -> None:
-        self.library = library
+    #: Whether a list of edges stays one. At one time there are few pairs: a matrix is faster.
+    keeps_list = False
 
-    def model(self, batch: SwarmBatch) -> None:
+    def forward(self, batch: SwarmBatch) -> Tensor:
         """Score states and observations frame by frame."""
-        model, inputs = self.library.model, batch.steps()
+        inputs = batch.steps()
+        inputs = inputs if self.keeps_list else inputs.dense()
         with pyro.plate("windows", len(batch), dim=-1):
-            first = model.initial().expand([len(batch), batch.num_individuals]).to_event(1)
+            first = self.initial().expand([len(batch), batch.num_individuals]).to_event(1)
             state = pyro.sample("state_0", first)
             for t in pyro.markov(range(batch.num_times)):
                 if t > 0:
                     position, velocity = state[..., :SPACE], state[..., SPACE:]
-                    law = model.transition.velocity(position, velocity, inputs.at(t - 1))
+                    law = self.transition.velocity(position, velocity, inputs.at(t - 1))
                     velocity = pyro.sample(f"velocity_{t}", law.to_event(1))
                     state = torch.cat([position + STEP * velocity, velocity], -1)
-                emitted = model.emission(state).mask(batch.mask[:, t]).to_event(1)
+                emitted = self.emission(state).mask(batch.mask[:, t]).to_event(1)
                 pyro.sample(f"observation_{t}", emitted, obs=batch.observations[:, t])
+        return state
 
-    def guide(self, batch: SwarmBatch) -> None:
+
+class PerStepGuide(SmoothingGuide):
+    """The same guide with a sample site for each frame."""
+
+    def forward(self, batch: SwarmBatch) -> None:
         """Draw states frame by frame."""
-        posterior = Posterior(self.library, batch)
+        posterior = Posterior(self, batch)
         later = posterior.later
         with pyro.plate("windows", len(batch), dim=-1):
             pyro.sample("state_0", posterior.first.to_event(2))
@@ -164,8 +149,31 @@ class PerStep:
                 step = dist.Normal(later.loc[:, t - 1], later.scale[:, t - 1])
                 pyro.sample(f"velocity_{t}", step.to_event(2))
 
+
+class Library:
+    """Model and guide as the library has them, with weights that are not all zero."""
+
+    def __init__(
+        self, scales: Scales, options: argparse.Namespace, *, per_step: bool = False
+    ) -> None:
+        torch.manual_seed(0)
+        noise = PyroParam(torch.tensor(NOISE), constraint=constraints.positive)
+        kind, guide = (
+            (PerStepModel, PerStepGuide) if per_step else (StateSpaceModel, SmoothingGuide)
+        )
+        self.model = kind(
+            InitialStates.for_scales(scales),
+            GraphTransition(scales, width=options.width),
+            PositionEmission(SPACE, noise),
+        )
+        self.guide = guide(self.model, hidden=options.hidden)
+        with torch.no_grad():
+            for parameter in [*self.model.parameters(), *self.guide.parameters()]:
+                if parameter.dim() > 1 and not parameter.any():
+                    parameter.normal_(0.0, 0.01)
+
     def loss(self) -> Callable[[SwarmBatch], Tensor]:
-        """Return the negative ELBO."""
+        """Return the negative ELBO as a module."""
         module: Callable[[SwarmBatch], Tensor] = Trace_ELBO()(self.model, self.guide)
         return module
 
@@ -208,13 +216,14 @@ def check(batch: SwarmBatch, options: argparse.Namespace) -> None:
         if isinstance(graph, Tensor):
             graph = graph.double()
         batch = SwarmBatch.of(batch.observations.double(), batch.mask, graph)
-        compare(Library(scales_for(batch), options), batch)
+        scales = scales_for(batch)
+        compare(Library(scales, options), Library(scales, options, per_step=True), batch)
     finally:
         torch.set_default_dtype(torch.float32)
 
 
 @torch.no_grad()
-def compare(library: Library, batch: SwarmBatch) -> None:
+def compare(library: Library, each: Library, batch: SwarmBatch) -> None:
     """Stop if the three do not agree."""
     torch.manual_seed(1)
     drawn = poutine.trace(library.guide).get_trace(batch)
@@ -224,17 +233,16 @@ def compare(library: Library, batch: SwarmBatch) -> None:
     states = drawn.nodes["states"]["value"]
     values = {"state_0": states[:, 0]}
     values |= {f"velocity_{t}": states[:, t, :, SPACE:] for t in range(1, batch.num_times)}
-    each = PerStep(library)
     sums = [
         poutine.trace(poutine.condition(side, data=values)).get_trace(batch).log_prob_sum()
         for side in (each.model, each.guide)
     ]
     torch.manual_seed(1)
     by_hand = -ByHand(library)(batch)
-    for name, other in (("per step", sums[0] - sums[1]), ("by hand", by_hand)):
-        off = float((other - own).abs() / log_q.abs())
+    for name, value in (("per step", sums[0] - sums[1]), ("by hand", by_hand)):
+        off = float((value - own).abs() / log_q.abs())
         if not off < TOLERANCE:
-            raise SystemExit(f"library {own}, {name} {other}: they differ by {off:.1e}")
+            raise SystemExit(f"library {own}, {name} {value}: they differ by {off:.1e}")
 
 
 class Contestant:
@@ -264,14 +272,11 @@ def contestants(
     """Return the ways to take steps, all with equal weights."""
     if len(names) > 1:
         check(batch, options)
-    library = Library(scales, options)
     made = {}
     for name in names:
-        own = copy.deepcopy(library)
-        if name == "library":
+        own = Library(scales, options, per_step=name == "per step")
+        if name in ("library", "per step"):
             loss = own.loss()
-        elif name == "per step":
-            loss = PerStep(own).loss()
         elif name == "by hand":
             loss = ByHand(own)
         else:

@@ -17,6 +17,7 @@ from swarmssm.inference.laplace import laplace
 
 
 def main() -> None:
+    """Fit, and print the posterior beside the truth."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--method", choices=["iterated", "extended"], default="iterated")

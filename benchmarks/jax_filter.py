@@ -73,6 +73,7 @@ def evidence_of(parameters, positions, mean, covariance):
 
 
 def main() -> None:
+    """Answer each line with the evidence and its gradient."""
     given = np.load(sys.argv[1])
     positions = jnp.asarray(given["positions"])
     number = positions.shape[2]

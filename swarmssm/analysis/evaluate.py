@@ -116,9 +116,7 @@ def evaluate(
         notes.append(reason)
 
     one_step = {f.name: f.one_step() for f in forecasters}
-    scores, used, more = _forecast_scores(
-        subject, forecasters, one_step, horizons, origins, seed
-    )
+    scores, used, more = _forecast_scores(subject, forecasters, one_step, horizons, origins, seed)
     notes += more
     collective, more = collective_scores(
         subject, forecasters, steps=free_run_steps, starts=starts, draws=draws, seed=seed

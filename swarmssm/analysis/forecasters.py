@@ -86,6 +86,27 @@ class ModelForecaster:
         with seeded(seed):
             return self._run(trials, rows, steps, draws=draws)
 
+    def kernels(
+        self, trials: Rows, rows: Rows, steps: int, draws: int, seed: int
+    ) -> tuple[Array, Array, float] | None:
+        """Return where sampled futures expect the next sighting, and how surely.
+
+        In the tracks' own units, see :class:`swarmssm.inference.prediction.Kernels`.
+        """
+        at = torch.from_numpy(trials), torch.from_numpy(rows)
+        with seeded(seed):
+            beginning = self.predictor.begin(self.subject.inputs, *at, draws)
+            found = self.predictor.kernels(beginning, steps)
+        if found is None:
+            return None
+        space = self.subject.num_space
+        scaler = self.subject.fit.preparation.scaler
+        offset, scale = np.array(scaler.offset[:space]), np.array(scaler.scale[:space])
+        location = found.location.numpy().astype(np.float64) * scale + offset
+        variance = found.variance.numpy().astype(np.float64) * scale**2
+        there = np.broadcast_to(beginning.present.numpy()[..., None, :], location.shape[:-1])
+        return diverged(location, there), variance, found.degrees
+
     def positions(self, trials: Rows, rows: Rows, steps: int, draws: int, seed: int) -> Array:
         """Run the rule and draw what is seen of it."""
         with seeded(seed):
@@ -119,7 +140,8 @@ class BaselineForecaster:
     def __init__(self, subject: Subject, baseline: Baseline) -> None:
         self.name, self.title = baseline.name, baseline.title
         self.subject, self.baseline = subject, baseline
-        self.known = np.where(subject.inputs.known.numpy()[..., None], subject.inputs.states, np.nan)
+        known = subject.inputs.known.numpy()[..., None]
+        self.known = np.where(known, subject.inputs.states, np.nan)
 
     def one_step(self) -> tuple[Array, Array | None]:
         """Predict each frame; the graph is the one before, or that of the predicted states."""

@@ -5,9 +5,13 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from swarmssm.analysis.forecasters import BaselineForecaster, Forecaster
+from swarmssm.analysis.forecasters import BaselineForecaster, Forecaster, ModelForecaster
 from swarmssm.analysis.subject import Subject
-from swarmssm.metrics.log_score import gaussian_log_score, moments_of_draws
+from swarmssm.metrics.log_score import (
+    gaussian_log_score,
+    mixture_log_score,
+    moments_of_draws,
+)
 from swarmssm.models.baselines import Baseline
 from swarmssm.tracks import Array
 
@@ -30,10 +34,11 @@ def log_scores(
 ) -> tuple[dict[str, Array], list[str]]:
     """Return the mean log score of the observed positions at each step ahead.
 
-    Each forecast is a normal distribution of an individual's position: that of a fitted model, or
-    of the true rule, has the mean and covariance of :data:`LOG_SCORE_DRAWS` sampled futures,
-    tracking noise included; that of a baseline the mean it predicts and the covariance of its own
-    errors at that step in the training part.
+    Each forecast is a density of an individual's position, tracking noise included. That of a
+    state-space model is the mixture of what :data:`LOG_SCORE_DRAWS` sampled futures expect
+    (:func:`swarmssm.metrics.mixture_log_score`); that of any other model, and of the true rule, a
+    normal with the mean and covariance of as many futures; that of a baseline a normal about what
+    it predicts, with the covariance of its own errors at that step in the training part.
 
     Parameters
     ----------
@@ -56,13 +61,18 @@ def log_scores(
     truth = subject.ahead(trials, rows, steps)[..., : subject.num_space]
     scores, notes = {}, []
     for forecaster in forecasters:
-        moments = (
-            _of_baseline(subject, forecaster, trials, rows, steps)
-            if isinstance(forecaster, BaselineForecaster)
-            else _of_draws(forecaster, trials, rows, steps, seed)
-        )
-        if moments is not None:
+        if isinstance(forecaster, BaselineForecaster):
+            moments = _of_baseline(subject, forecaster, trials, rows, steps)
             scores[forecaster.name] = gaussian_log_score(truth, *moments)
+            continue
+        # A few origins at once, so that memory stays bounded.
+        parts = [
+            _of_draws(forecaster, truth[chosen], trials[chosen], rows[chosen], steps, seed)
+            for chosen in np.array_split(np.arange(len(rows)), max(1, len(rows) // 25))
+        ]
+        told = [part for part in parts if part is not None]
+        if len(told) == len(parts):
+            scores[forecaster.name] = np.concatenate(told)
     if subject.training is None and any(isinstance(f, BaselineForecaster) for f in forecasters):
         notes.append(
             "The spread of the baselines' forecasts is that of their errors on the scored frames "
@@ -73,25 +83,26 @@ def log_scores(
     for name, score in scores.items():
         counted = np.where(everywhere, score, 0.0).sum((0, 2))
         number = everywhere.sum((0, 2))
-        means[name] = np.divide(
-            counted, number, out=np.full(steps, np.nan), where=number > 0
-        )
+        means[name] = np.divide(counted, number, out=np.full(steps, np.nan), where=number > 0)
     return means, notes
 
 
 def _of_draws(
-    forecaster: Forecaster, trials: Rows, rows: Rows, steps: int, seed: int
-) -> tuple[Array, Array] | None:
-    """Return mean and covariance of sampled futures, a few origins at once."""
-    means, covariances = [], []
-    for chosen in np.array_split(np.arange(len(rows)), max(1, len(rows) // 50)):
-        drawn = forecaster.positions(trials[chosen], rows[chosen], steps, LOG_SCORE_DRAWS, seed)
-        if drawn is None:
-            return None
-        mean, covariance = moments_of_draws(drawn)
-        means.append(mean)
-        covariances.append(covariance)
-    return np.concatenate(means), np.concatenate(covariances)
+    forecaster: Forecaster, truth: Array, trials: Rows, rows: Rows, steps: int, seed: int
+) -> Array | None:
+    """Return scores ``(origin, step, individual)`` of sampled futures."""
+    if isinstance(forecaster, ModelForecaster):
+        kernels = forecaster.kernels(trials, rows, steps, LOG_SCORE_DRAWS, seed)
+        if kernels is not None:
+            return mixture_log_score(truth, *kernels)
+    drawn = forecaster.positions(trials, rows, steps, LOG_SCORE_DRAWS, seed)
+    if drawn is None:
+        return None
+    # A forecast that broke down in one draw gives what came no probability at all.
+    broken = np.isinf(drawn).any(axis=(0, -1))
+    mean, covariance = moments_of_draws(np.where(np.isinf(drawn), 0.0, drawn))
+    covariance[broken] = 0.0
+    return gaussian_log_score(truth, mean, covariance)
 
 
 def _of_baseline(

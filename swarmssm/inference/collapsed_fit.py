@@ -6,8 +6,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import torch
-from pyro.infer import SVI, Trace_ELBO
-from pyro.optim import ClippedAdam
+from pyro.infer import Trace_ELBO
 
 from swarmssm.errors import WorkError
 from swarmssm.inference.collapsed import collapsed
@@ -128,26 +127,32 @@ def _by_svi(
     """Maximise the ELBO of the parameters alone."""
     steps, size = options["steps"], options["batch_windows"] or len(windows)
     parameters = guide.parameters_guide
-    decay = 0.1 ** (1.0 / steps)
     target = collapsed(model, layout=guide.layout)
+    weights = {id(p): p for part in (model, parameters) for p in part.parameters()}
+    learned = [p for p in weights.values() if p.requires_grad]
+    optimizer = torch.optim.Adam(learned, lr=options["lr"])
+    schedule = torch.optim.lr_scheduler.ExponentialLR(optimizer, 0.1 ** (1.0 / steps))
+    elbo = Trace_ELBO()
 
     def draw(batch: SwarmBatch) -> None:
         parameters()
 
-    svi = SVI(target, draw, ClippedAdam({"lr": options["lr"], "lrd": decay}), Trace_ELBO())
     points: Points | None = None
     every = max(1, steps // ROWS)
     batches = _batches(len(windows), min(size, len(windows)))
     for step in range(1, steps + 1):
         if (step - 1) % MOVE_POINTS == 0:
             middle = parameters.median()
-            points = linearization_points(
-                model, windows, middle, layout=guide.layout, start=points
-            )
+            points = linearization_points(model, windows, middle, layout=guide.layout, start=points)
         index = next(batches)
         if points is not None:
             target.points = Points(points.mean[index], points.covariance[index])
-        loss = float(svi.step(windows.select(index)))
+        optimizer.zero_grad()
+        total = elbo.differentiable_loss(target, draw, windows.select(index))
+        total.backward()
+        optimizer.step()
+        schedule.step()
+        loss = float(total.detach())
         if not math.isfinite(loss):
             raise WorkError(
                 f"The loss is not a number at step {step}. Try a smaller learning rate."
@@ -158,7 +163,7 @@ def _by_svi(
 def _batches(number: int, size: int) -> Iterator[torch.Tensor]:
     """Yield mini-batches of one pass after another, each in a random order."""
     while True:
-        yield from torch.randperm(number).split(size)
+        yield from torch.split(torch.randperm(number), size)
 
 
 def _score(model: StateSpaceModel, guide: LinearizedGuide, windows: SwarmBatch) -> float:

@@ -24,9 +24,11 @@ from swarmssm.models import StateSpaceModel, SwarmBatch
 __all__ = ["Laplace", "laplace"]
 
 #: Rounds of maximising at held points and moving the points.
-ROUNDS = 8
+ROUNDS = 6
 #: The maximum stands when a round moves it by less than this part of its standard deviations.
 SETTLED = 0.02
+#: Or when it makes the parameters more probable by less than so many nats.
+GAIN = 1e-2
 #: Steps of L-BFGS in the first rounds, while the points are still far off.
 FIRST_STEPS = 10
 STEPS = 60
@@ -262,9 +264,10 @@ class _Problem:
         if self(place)[0] >= OUT_OF_BOUNDS:
             raise self.trouble or WorkError("The evidence is not finite at the first values.")
         for rounds in range(1, ROUNDS + 1):
-            shift = self._maximise(place, unit, FIRST_STEPS if rounds == 1 else STEPS)
+            shift, gained = self._maximise(place, unit, FIRST_STEPS if rounds == 1 else STEPS)
             place = place + unit @ shift
-            settled = rounds > 1 and bool((np.abs(shift[: self.number]) < SETTLED).all())
+            still = bool((np.abs(shift[: self.number]) < SETTLED).all()) or gained < GAIN
+            settled = rounds > 1 and still
             self._move_points(place)
             if settled or rounds == ROUNDS:
                 break
@@ -272,18 +275,21 @@ class _Problem:
                 unit = self._unit(self._hessian(place, forward=True))
         return self._finish(place, rounds)
 
-    def _maximise(self, place: Any, unit: Any, steps: int) -> Any:
-        """Return how far the maximum at the held points is, in the given unit."""
+    def _maximise(self, place: Any, unit: Any, steps: int) -> tuple[Any, float]:
+        """Return how far the maximum at the held points is in the given unit, and how high."""
 
         def objective(shift: Any) -> tuple[float, Any]:
             value, gradient = self(place + unit @ shift)
             return value, unit.T @ gradient
 
-        options = {"maxiter": steps, "ftol": 1e-14, "gtol": 0.1 * SETTLED}
-        found = scipy.optimize.minimize(
+        start = self(place)[0]
+        # L-BFGS wants a change relative to the value.
+        tolerance = 0.1 * GAIN / max(abs(start), 1.0)
+        options = {"maxiter": steps, "ftol": tolerance, "gtol": 0.1 * SETTLED}
+        found = scipy.optimize.minimize(  # type: ignore[call-overload]
             objective, np.zeros_like(place), jac=True, method="L-BFGS-B", options=options
         )
-        return found.x
+        return found.x, start - float(found.fun)
 
     def _hessian(self, place: Any, *, forward: bool = False) -> Any:
         """Return the Hessian in the parameters with a prior, by differences of gradients."""

@@ -15,7 +15,7 @@ from swarmssm.metrics.collective import (
     speeds,
 )
 from swarmssm.metrics.edges import edge_accuracy, edge_auc, edge_precision, edge_recall
-from swarmssm.metrics.log_score import gaussian_log_score, moments_of_draws
+from swarmssm.metrics.log_score import gaussian_log_score, mixture_log_score, moments_of_draws
 from swarmssm.metrics.prediction import HorizonErrors, horizon_errors, mae, mse, step_length
 
 __all__ = [
@@ -29,6 +29,7 @@ __all__ = [
     "gaussian_log_score",
     "horizon_errors",
     "mae",
+    "mixture_log_score",
     "moments_of_draws",
     "mse",
     "nearest_neighbor_distance",

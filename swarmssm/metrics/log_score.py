@@ -4,8 +4,9 @@ import math
 
 import numpy as np
 import numpy.typing as npt
+import scipy.special
 
-__all__ = ["gaussian_log_score", "moments_of_draws"]
+__all__ = ["gaussian_log_score", "mixture_log_score", "moments_of_draws"]
 
 Array = npt.NDArray[np.float64]
 
@@ -24,9 +25,9 @@ def gaussian_log_score(truth: Array, mean: Array, covariance: Array) -> Array:
 
     Returns
     -------
-    ``(...)``, in nats per coordinate of the truth's unit (higher is better); NaN where truth, mean or
-    covariance is. A covariance that is not positive definite gives minus infinity, unless the truth
-    is NaN.
+    ``(...)``, in nats per coordinate of the truth's unit (higher is better); NaN where truth, mean
+    or covariance is. A covariance that is not positive definite gives minus infinity, unless the
+    truth is NaN.
 
     References
     ----------
@@ -46,6 +47,61 @@ def gaussian_log_score(truth: Array, mean: Array, covariance: Array) -> Array:
     squared = (inner * solved).sum(-1)
     scores[proper] = -0.5 * (squared + logdet[proper] + space * math.log(2.0 * math.pi)) / space
     out[known] = scores
+    return out
+
+
+def mixture_log_score(
+    truth: Array, location: Array, variance: Array, degrees: float = math.inf
+) -> Array:
+    r"""Return the log-density of the truth under what sampled futures expect of the last step.
+
+    .. math:: \frac1d \log \frac1K \sum_k t_\nu(x;\; m_k,\; S_k + b^2 C), \qquad
+              b = K^{-1/(d + 4)}
+
+    Each of K sampled futures says where its next position is expected, and how surely; C is the
+    covariance of the places expected. With many draws b goes to 0, and what is left is the
+    forecast's own density (a kernel estimate that knows the last kernel; Silverman's rule).
+
+    Parameters
+    ----------
+    truth
+        ``(..., space)``; NaN where unknown.
+    location, variance
+        ``(draw, ..., space)``.
+    degrees
+        Degrees of freedom of the last step's Student's t; infinite, it is normal. ``variance`` is
+        the variance either way.
+
+    Returns
+    -------
+    ``(...)``, in nats per coordinate; NaN where anything is unknown, minus infinity where a future
+    is infinite.
+
+    References
+    ----------
+    B. W. Silverman (1986), Density Estimation for Statistics and Data Analysis.
+    """
+    count, space = location.shape[0], location.shape[-1]
+    broken = np.isinf(location).any(axis=(0, -1))
+    location = np.where(np.isinf(location), 0.0, location)
+    spread = moments_of_draws(location)[1] * count ** (-2.0 / (space + 4))
+    shrink = 1.0 if math.isinf(degrees) else (degrees - 2.0) / degrees
+    matrix = variance[..., None] * shrink * np.eye(space) + spread
+    error = truth - location
+    known = np.isfinite(error).all((0, -1)) & np.isfinite(matrix).all((0, -1, -2))
+    out = np.full(truth.shape[:-1], np.nan)
+    error, matrix = error[:, known], matrix[:, known]
+    squared = (error * np.linalg.solve(matrix, error[..., None])[..., 0]).sum(-1)
+    logdet = np.linalg.slogdet(matrix)[1]
+    if math.isinf(degrees):
+        each = -0.5 * (squared + logdet + space * math.log(2.0 * math.pi))
+    else:
+        half = 0.5 * (degrees + space)
+        constant = math.lgamma(half) - math.lgamma(0.5 * degrees)
+        constant -= 0.5 * space * math.log(degrees * math.pi)
+        each = constant - 0.5 * logdet - half * np.log1p(squared / degrees)
+    out[known] = (scipy.special.logsumexp(each, axis=0) - math.log(count)) / space
+    out[broken & ~np.isnan(truth).any(-1)] = -np.inf
     return out
 
 

@@ -112,7 +112,18 @@ class InteractionNetwork(nn.Module):
             # In place: there are many pairs, and nobody else has these numbers.
             summed = pairs.sum(sent.relu_())
             together = torch.cat([plain, hidden, summed * scale, summed * share], dim=-1)
-            gate, candidate = update(together).chunk(2, dim=-1)
+            if place + 1 < len(self.update):
+                gate, candidate = update(together).chunk(2, dim=-1)
+            else:
+                gate, candidate, straight = self._last(together)
             hidden = torch.lerp(hidden, torch.relu(candidate), torch.sigmoid(gate))
-        result: torch.Tensor = self.leave(hidden) + self.straight(together)
+        result: torch.Tensor = self.leave(hidden) + straight
         return result
+
+    def _last(self, together: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Return gate and candidate of the last round, and what is linear: one product of all."""
+        update, width = self.update[-1], self.enter.out_features
+        weight = torch.cat([update.weight, self.straight.weight])
+        bias = nn.functional.pad(update.bias, (0, self.straight.out_features))
+        sizes = [width, width, self.straight.out_features]
+        return torch.split(nn.functional.linear(together, weight, bias), sizes, dim=-1)

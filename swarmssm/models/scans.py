@@ -10,8 +10,9 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
-__all__ = ["linear_scan", "projective_scan"]
+__all__ = ["gated_scan", "linear_scan", "projective_scan"]
 
 
 def linear_scan(gain: Tensor, shift: Tensor, *, reverse: bool = False) -> Tensor:
@@ -66,6 +67,80 @@ def projective_scan(gain: Tensor, first: Tensor, *, reverse: bool = False) -> Te
     """
     scanned: Tensor = _Projective.apply(gain, first, reverse)  # type: ignore[no-untyped-call]
     return scanned
+
+
+def gated_scan(told: Tensor, there: Tensor | None = None) -> Tensor:
+    r"""Return a gated recurrence both ways in time.
+
+    .. math:: h_t = (1 - z_t) h_{t-1} + z_t c_t, \qquad z_t = \sigma(\cdot), \quad c_t = \tanh(\cdot)
+
+    from :math:`h_0 = 0` on forwards, and the same from the last frame on backwards.
+
+    Parameters
+    ----------
+    told
+        What sigmoid and tanh are taken of, ``(time, ..., 4 * feature)``: gates forwards and
+        backwards, then candidates forwards and backwards.
+    there
+        Factor of the gates, broadcasting against them, 0 where nothing is learned and nothing
+        forgotten; ``None``, 1 everywhere. It has no gradient.
+
+    Returns
+    -------
+    ``(time, ..., 2 * feature)``, forwards and backwards. It can be differentiated once.
+    """
+    scanned: Tensor = _Gated.apply(told, there)  # type: ignore[no-untyped-call]
+    return scanned
+
+
+class _Gated(torch.autograd.Function):
+    """See :func:`gated_scan`."""
+
+    @staticmethod
+    def forward(ctx: Any, told: Tensor, there: Tensor | None) -> Tensor:
+        gate, candidate = told.chunk(2, -1)
+        gate, candidate = gate.sigmoid(), candidate.tanh()
+        if there is not None:
+            gate *= there
+        states = gate * candidate
+        keep = 1.0 - gate
+        _both_ways(keep, states)
+        ctx.save_for_backward(gate, candidate, keep, states)
+        return states
+
+    @staticmethod
+    @once_differentiable  # type: ignore[untyped-decorator]
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None]:
+        gate, candidate, keep, states = ctx.saved_tensors
+        half = states.shape[-1] // 2
+        adjoint = gradient.clone(memory_format=torch.contiguous_format)
+        _both_ways(keep, adjoint, is_adjoint=True)
+        told = adjoint.new_empty(*adjoint.shape[:-1], 4 * half)
+        of_gate, of_candidate = told.chunk(2, -1)
+        adjoint *= gate
+        # h_t less h_{t-1} is z (c - h_{t-1}), and a factor z (1 - z) belongs to the sigmoid.
+        change = candidate.clone()
+        change[1:, ..., :half] -= states[:-1, ..., :half]
+        change[:-1, ..., half:] -= states[1:, ..., half:]
+        torch.mul(adjoint, change.mul_(keep), out=of_gate)
+        torch.addcmul(adjoint, adjoint * candidate, candidate, value=-1.0, out=of_candidate)
+        return told, None
+
+
+def _both_ways(keep: Tensor, states: Tensor, *, is_adjoint: bool = False) -> None:
+    """Add up in place: the first half of the features forwards, the other backwards.
+
+    The adjoint runs the other way round, and the gain into a frame then leads out of it.
+    """
+    for place, (gains, found) in enumerate(
+        zip(keep.chunk(2, -1), states.chunk(2, -1), strict=True)
+    ):
+        order = range(len(states))
+        if (place == 1) != is_adjoint:
+            order = order[::-1]
+        gain, carried = gains.unbind(0), found.unbind(0)
+        for before, t in itertools.pairwise(order):
+            carried[t].addcmul_(gain[before if is_adjoint else t], carried[before])
 
 
 class _Scan(torch.autograd.Function):

@@ -224,6 +224,9 @@ class StateSpaceModel(SwarmModel):
     def forward(self, batch: SwarmBatch) -> torch.Tensor:
         """Score a batch of windows; to be run under a Pyro handler. Returns the paths."""
         values = self.sample_globals()
+        weights = self.transition.log_prior() if self.training else None
+        if weights is not None:
+            pyro.factor("weights", weights)
         rows = torch.arange(len(batch), device=batch.mask.device)
         with (
             pyro.plate("windows", batch.population, subsample=rows, dim=-1),

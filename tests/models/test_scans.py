@@ -5,7 +5,7 @@ import itertools
 import pytest
 import torch
 
-from swarmssm.models.scans import linear_scan, projective_scan
+from swarmssm.models.scans import gated_scan, linear_scan, projective_scan
 
 DOUBLE = torch.float64
 
@@ -84,3 +84,22 @@ def test_a_long_product_neither_overflows_nor_vanishes():
 def test_shapes_that_do_not_fit_are_refused():
     with pytest.raises(ValueError, match=r"\(5, 3, 2\), and it is \(5, 3, 1\)"):
         linear_scan(drawn(5, 3, 1), drawn(5, 3, 2))
+
+
+@pytest.mark.parametrize("is_masked", [False, True])
+def test_gates_both_ways(is_masked: bool) -> None:
+    generator = torch.Generator().manual_seed(0)
+    told = torch.randn(7, 3, 2, 12, generator=generator, dtype=torch.float64, requires_grad=True)
+    there = (torch.rand(7, 3, 2, 1, generator=generator) > 0.3).double() if is_masked else None
+    gate, candidate = told.chunk(2, -1)
+    gate = gate.sigmoid() * (1.0 if there is None else there)
+    learned = gate * candidate.tanh()
+    wanted = torch.cat(
+        [
+            linear_scan(1.0 - gate[..., :3], learned[..., :3]),
+            linear_scan(1.0 - gate[..., 3:], learned[..., 3:], reverse=True),
+        ],
+        -1,
+    )
+    torch.testing.assert_close(gated_scan(told, there), wanted)
+    assert torch.autograd.gradcheck(lambda values: gated_scan(values, there), told)

@@ -59,7 +59,7 @@ class AffineChain(NamedTuple):
         observed H is 0 and R is 1.
     observed
         x, ``(time, batch, observation)``; d where nothing was observed.
-    count
+    observed_count
         ``(batch,)``: how many numbers were observed.
     """
 
@@ -72,7 +72,7 @@ class AffineChain(NamedTuple):
     shift: Tensor
     blur: Tensor
     observed: Tensor
-    count: Tensor
+    observed_count: Tensor
 
     @classmethod
     def of(cls, system: AffineSwarm) -> "AffineChain":
@@ -147,7 +147,7 @@ def filter_chain(chain: AffineChain, predict: Predict | None = None) -> ForwardP
     with torch.no_grad():
         try:
             return _forwards(chain, predict)
-        except torch.linalg.LinAlgError as error:
+        except torch.linalg.LinAlgError as error:  # type: ignore[attr-defined]
             raise WorkError(
                 "The covariance of the observations is not positive definite. Parameters are out "
                 "of bounds, or the model needs float64."
@@ -184,7 +184,10 @@ def _forwards(chain: AffineChain, predict: Predict | None) -> ForwardPass:
     found = [torch.stack(row) for row in zip(*rows, strict=True)]
     factors, whitened = found[4], found[5]
     spread = factors.diagonal(dim1=-2, dim2=-1).log().sum((0, -1))
-    evidence = -0.5 * (whitened.square().sum((0, -1)) + LOG_2PI * chain.count) - spread
+    evidence = (
+        -0.5 * (whitened.square().sum((0, -1)) + LOG_2PI * chain.observed_count.to(whitened))
+        - spread
+    )
     return ForwardPass(evidence, *found)
 
 
@@ -274,11 +277,12 @@ class _Evidence(torch.autograd.Function):
         count: Tensor,
         *tensors: Tensor,
     ) -> Tensor:
-        chain = AffineChain(*tensors, count)
+        chain = AffineChain._make([*tensors, count])
         ctx.run = filter_chain(chain) if run is None else run
         ctx.pullback = pullback
         ctx.save_for_backward(chain.matrix)
-        return ctx.run.evidence.clone()
+        evidence: Tensor = ctx.run.evidence.clone()
+        return evidence
 
     @staticmethod
     @torch.autograd.function.once_differentiable

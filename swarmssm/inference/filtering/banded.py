@@ -142,7 +142,7 @@ def factorize(band: Band) -> Factor:
             if k + 2 < blocks:
                 carried = diagonal[k + 2] - taken[:, size:, size:-1]
                 second = linear[k + 2] - taken[:, size:, -1:]
-    except torch.linalg.LinAlgError as error:
+    except torch.linalg.LinAlgError as error:  # type: ignore[attr-defined]
         raise WorkError(
             "The precision of the paths is not positive definite. Parameters are out of bounds."
         ) from error

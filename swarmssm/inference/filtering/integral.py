@@ -128,7 +128,7 @@ def _precision(terms: PathTerms) -> tuple[Tensor, Tensor]:
 def _apply(precision: Tensor, rows: Tensor) -> Tensor:
     """Multiply rows ``(..., joint, any)`` by each individual's own matrix."""
     individuals, space = precision.shape[-3:-1]
-    split = rows.unflatten(-2, (individuals, space))
+    split = torch.unflatten(rows, -2, (individuals, space))
     found = precision[..., :, :1] * split[..., :1, :]
     for axis in range(1, space):
         found = torch.addcmul(found, precision[..., :, axis, None], split[..., axis, None, :])
@@ -138,12 +138,16 @@ def _apply(precision: Tensor, rows: Tensor) -> Tensor:
 def _own_blocks(matrix: Tensor, individuals: int) -> Tensor:
     """View the diagonal blocks ``(..., individual, space, space)`` of ``(..., joint, joint)``."""
     space = matrix.shape[-1] // individuals
-    split = matrix.unflatten(-1, (individuals, space)).unflatten(-3, (individuals, space))
+    size = (individuals, space)
+    split = torch.unflatten(torch.unflatten(matrix, -1, size), -3, size)
     return split.diagonal(dim1=-4, dim2=-2).movedim(-1, -3)
 
 
 def own_blocks_of(found: BandMoments, individuals: int) -> Tensor:
-    """Return each individual's own covariance of d, ``(batch, time, individual, 2 * space, ...)``."""
+    """Return each individual's own covariance of d.
+
+    ``(batch, time, individual, 2 * space, 2 * space)``.
+    """
     here = _own_blocks(found.diagonal, individuals)
     across = _own_blocks(found.next, individuals)
     upper = torch.cat([here[1:], across], -1)
@@ -155,27 +159,29 @@ class _PathIntegral(torch.autograd.Function):
     """The integral as a function of the terms."""
 
     @staticmethod
-    def forward(ctx: Any, stays: Tensor, idle: Tensor | None, dt: float, *tensors: Tensor) -> Tensor:
-        terms = PathTerms(*tensors, stays, idle, dt)
+    def forward(
+        ctx: Any, stays: Tensor, idle: Tensor | None, dt: float, *tensors: Tensor
+    ) -> Tensor:
+        terms = PathTerms._make([*tensors, stays, idle, dt])
         band, value = assemble(terms)
         factor = factorize(band)
         ctx.save_for_backward(*tensors, *factor)
         ctx.rest = (stays, idle, dt)
         found = value + normalizer(factor)
         if idle is not None:
-            found = found - 0.5 * math.log(2.0 * math.pi) * idle.sum((1, 2))
+            found = found - 0.5 * math.log(2.0 * math.pi) * idle.sum((1, 2)).to(found)
         return found
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, weight: Tensor) -> tuple[Any, ...]:
         *tensors, lower, whitened = ctx.saved_tensors
-        terms = PathTerms(*tensors, *ctx.rest)
-        batch, times, individuals, double = terms.linear.shape
+        terms = PathTerms._make([*tensors, *ctx.rest])
+        _, times, individuals, double = terms.linear.shape
         space, dt = double // 2, terms.dt
         found = moments(Factor(lower, whitened))
         mean = found.mean.transpose(0, 1)
-        split = mean.unflatten(-1, (individuals, space))
+        split = torch.unflatten(mean, -1, (individuals, space))
         by_linear = torch.cat([split[:, 1:], split[:, :-1]], -1)
         by_curvature = own_blocks_of(found, individuals)
         by_curvature = by_curvature + by_linear.unsqueeze(-1) * by_linear.unsqueeze(-2)
@@ -207,11 +213,11 @@ class _PathIntegral(torch.autograd.Function):
         scaled = -weight[:, None, None, None, None] * precision
         by_slopes = _apply(scaled, product)
         by_residual = _apply(scaled, expected.unsqueeze(-1)).squeeze(-1)
-        # Cov(rho) = Cov(rho, d) C' + Cov(rho, after) / dt, and Cov(rho, after) = C Cov(d, after) + ...
+        # Cov(rho) = Cov(rho, d) C' + C Cov(d, after) / dt + Cov(after) / dt^2
         own = _own_products(crossed, terms.slopes, individuals)
         own = own + _own_products(terms.slopes, ahead, individuals) / dt
         own = own + _own_blocks(diagonal[:, 2:], individuals) / dt**2
-        rho = expected.unflatten(-1, (individuals, space))
+        rho = torch.unflatten(expected, -1, (individuals, space))
         own = own + rho.unsqueeze(-1) * rho.unsqueeze(-2)
         by_noise = precision @ own @ precision - precision
         by_noise = 0.5 * weight[:, None, None, None, None] * by_noise
@@ -221,4 +227,4 @@ class _PathIntegral(torch.autograd.Function):
 def _own_products(left: Tensor, right: Tensor, individuals: int) -> Tensor:
     """Return the diagonal blocks of ``left @ right.mT``."""
     split = (individuals, left.shape[-2] // individuals)
-    return left.unflatten(-2, split) @ right.unflatten(-2, split).mT
+    return torch.unflatten(left, -2, split) @ torch.unflatten(right, -2, split).mT

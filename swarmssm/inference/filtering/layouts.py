@@ -205,6 +205,7 @@ class _Joint(Frames):
             block_diagonal(line.jacobian),
             block_diagonal(line.noise),
         )
+
     def split(self, rows: Tensor) -> Tensor:
         return rows.view(self.shape)
 
@@ -268,6 +269,7 @@ class _Blocks(Frames):
             self._rows(line.jacobian, 2),
             self._rows(line.noise, 2),
         )
+
     def split(self, rows: Tensor) -> Tensor:
         return rows.view(self.shape)
 
@@ -281,4 +283,4 @@ class _Blocks(Frames):
         return evidence.view(self.shape[:2]).sum(-1)
 
     def paths(self, rows: Tensor) -> Tensor:
-        return rows.squeeze(-2).unflatten(0, self.shape[:2]).transpose(1, 2)
+        return torch.unflatten(rows.squeeze(-2), 0, self.shape[:2]).transpose(1, 2)

@@ -119,7 +119,7 @@ class PositionPath:
     def evidence(self, expansion: Expansion) -> Tensor:
         """Return the log of the integral over paths, ``(batch,)``."""
         # From first states and later velocities to positions.
-        counted = self.there.sum((1, 2)) * self.space
+        counted = self.there.sum((1, 2)).double() * self.space
         return expansion.value + path_integral(expansion.terms) - math.log(self.dt) * counted
 
     def settle(self, expansion: Expansion) -> tuple[Tensor, Tensor, Tensor]:
@@ -134,7 +134,7 @@ class PositionPath:
             band, value = assemble(expansion.terms)
             shift = band_mean(band)
             promise = 0.5 * (shift * band.linear).sum((0, 2))
-        split = shift.unflatten(-1, (self.there.shape[-1], self.space)).transpose(0, 1)
+        split = torch.unflatten(shift, -1, (self.there.shape[-1], self.space)).transpose(0, 1)
         return expansion.value + value, split, promise
 
     def spread(self, expansion: Expansion) -> Tensor:
@@ -200,7 +200,7 @@ class PositionPath:
             if not bool((promise > GAIN).any()):
                 break
             positions = self.positions(points.mean)
-            length = torch.ones_like(promise)
+            length, worse = torch.ones_like(promise), torch.zeros_like(promise).bool()
             for halving in range(SHORTER + 1):
                 if halving == SHORTER:
                     length = torch.where(worse, 0.0, length)

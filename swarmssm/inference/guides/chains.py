@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from swarmssm.inference.guides.mean_paths import mean_paths
 from swarmssm.models.scans import linear_scan, projective_scan
 
 __all__ = [
@@ -189,6 +190,10 @@ class Chain(ABC):
             ``(batch, time, individual)`` of bool.
         """
 
+    def mean(self, sightings: Sightings, law: Law, start: Start, present: Tensor) -> Tensor:
+        """Return the mean path ``(batch, time, individual, state)``, that of :meth:`steps`."""
+        return self.steps(sightings, law, start, present).mean(sightings.location)
+
     @abstractmethod
     def spread(self, sightings: Sightings, law: Law, start: Start, present: Tensor) -> "Spread":
         """Return the scales of a posterior without correlations between features and frames.
@@ -201,6 +206,8 @@ class Chain(ABC):
     def join(self, first: Tensor, free: Tensor, present: Tensor) -> Tensor:
         """Return the path of given first states, taken where an individual comes, and free
         features of all later ones, ``(batch, time, individual, state)``.
+
+        First states are those of all frames; or of the first alone, if nobody comes later.
         """
 
 
@@ -348,14 +355,45 @@ class KinematicChain(Chain):
             variance=variance,
         )
 
+    def mean(self, sightings: Sightings, law: Law, start: Start, present: Tensor) -> Tensor:
+        """Return the mean path; see :meth:`Chain.mean`."""
+        if present.device.type != "cpu":
+            # Steps of many small operations, which only a processor of few columns likes.
+            return super().mean(sightings, law, start, present)
+        stays, comes = who_moves(present)
+        shape = sightings.location.shape
+        sure = torch.where(comes.unsqueeze(-1), start.variance.reciprocal(), 0.0)
+        told = sightings.location * sightings.precision + sure * start.mean
+        half = (*shape[:-1], self.space)
+
+        def columns(part: Tensor) -> Tensor:
+            return part.movedim(1, -1).flatten(0, -2)
+
+        each = law.drift.shape
+        found = mean_paths(
+            self.dt,
+            _halves(columns, sightings.precision + sure),
+            _halves(columns, told),
+            tuple(columns(part.expand(each)) for part in (law.drift, law.noise, *law.gains)),
+            columns(stays.unsqueeze(-1).expand(each)),
+            columns(comes.unsqueeze(-1).expand(half)),
+        )
+        if found is None:
+            return super().mean(sightings, law, start, present)
+        back = (shape[0], *half[2:], shape[1])
+        return torch.cat([part.reshape(back).movedim(-1, 1) for part in found], -1)
+
     def spread(self, sightings: Sightings, law: Law, start: Start, present: Tensor) -> Spread:
         """Return the scales of independent velocities; see :meth:`Chain.spread`."""
         stays, _ = who_moves(present)
         stays = stays.unsqueeze(-1).to(law.drift.dtype)
         seen_p, seen_v = sightings.precision.chunk(2, -1)
         # A velocity shifts all later positions until its individual leaves.
-        onward = functional.pad(stays, (0, 0, 0, 0, 0, 1)).expand_as(seen_p).movedim(1, 0)
-        shifted = linear_scan(onward, seen_p.movedim(1, 0), reverse=True).movedim(0, 1)
+        if bool(present.all()):
+            shifted = seen_p.flip(1).cumsum(1).flip(1)
+        else:
+            onward = functional.pad(stays, (0, 0, 0, 0, 0, 1)).expand_as(seen_p).movedim(1, 0)
+            shifted = linear_scan(onward, seen_p.movedim(1, 0), reverse=True).movedim(0, 1)
         a = law.gains[1].expand_as(law.drift)
         before = stays * a.square() / law.noise
         before = torch.cat([before, torch.zeros_like(seen_p[:, :1])], 1)
@@ -368,11 +406,16 @@ class KinematicChain(Chain):
         """Return the path; see :meth:`Chain.join`."""
         stays, comes = who_moves(present)
         stays, comes = stays.unsqueeze(-1), comes.unsqueeze(-1)
-        first_p, first_v = torch.where(comes, first, 0.0).chunk(2, -1)
-        moved = torch.where(stays, self.dt * free, 0.0)
-        v = torch.cat([first_v[:, :1], torch.where(stays, free, first_v[:, 1:])], 1)
+        free = torch.where(stays, free, 0.0)
+        first_p, first_v = torch.where(comes[:, : first.shape[1]], first, 0.0).chunk(2, -1)
+        if first.shape[1] == 1:
+            v = torch.cat([first_v, free], 1)
+            p = torch.cat([first_p, self.dt * free], 1).cumsum(1)
+            # Who has left is nowhere.
+            return torch.cat([torch.where(present.unsqueeze(-1), p, 0.0), v], -1)
+        v = torch.cat([first_v[:, :1], first_v[:, 1:] + free], 1)
         onward = functional.pad(stays.to(v.dtype), (0, 0, 0, 0, 1, 0)).expand_as(v)
-        shift = torch.cat([first_p[:, :1], first_p[:, 1:] + moved], 1)
+        shift = torch.cat([first_p[:, :1], first_p[:, 1:] + self.dt * free], 1)
         p = linear_scan(onward.movedim(1, 0), shift.movedim(1, 0)).movedim(0, 1)
         return torch.cat([p, v], -1)
 
@@ -447,6 +490,12 @@ class AxisSteps(Steps):
         shift = torch.cat([arrived[:, :1], later], 1).movedim(1, 0)
         path = linear_scan(_rows(gain, 2), _rows(shift, 1)).reshape(shift.shape).movedim(0, 1)
         return torch.cat([path[..., 0], path[..., 1]], -1)
+
+
+def _halves(columns: Callable[[Tensor], Tensor], part: Tensor) -> tuple[Tensor, Tensor]:
+    """Return positions and velocities, laid out in columns."""
+    position, velocity = part.chunk(2, -1)
+    return columns(position), columns(velocity)
 
 
 def _rows(values: Tensor, features: int) -> Tensor:
@@ -543,8 +592,8 @@ class FullChain(Chain):
     def join(self, first: Tensor, free: Tensor, present: Tensor) -> Tensor:
         """Return the path; see :meth:`Chain.join`."""
         stays, comes = who_moves(present)
-        first = torch.where(comes.unsqueeze(-1), first, 0.0)
-        later = torch.where(stays.unsqueeze(-1), free, first[:, 1:])
+        first = torch.where(comes.unsqueeze(-1)[:, : first.shape[1]], first, 0.0)
+        later = torch.where(stays.unsqueeze(-1), free, first[:, 1:] if first.shape[1] > 1 else 0.0)
         return torch.cat([first[:, :1], later], 1)
 
 

@@ -5,7 +5,7 @@ from torch import Tensor, nn
 
 from swarmssm.graphs import Graph, neighbor_mean
 from swarmssm.models.layers import check_sizes, fan_in_uniform_
-from swarmssm.models.scans import linear_scan
+from swarmssm.models.scans import gated_scan
 
 __all__ = ["SwarmContext"]
 
@@ -72,27 +72,24 @@ class SwarmContext(nn.Module):
         -------
         ``(batch, time, individual, out_features)``, 0 where absent.
         """
-        there = present.unsqueeze(-1).to(nodes.dtype)
-        nodes = nodes * there
-        own = self.own(nodes).tanh() * there
+        there = None if bool(present.all()) else present.unsqueeze(-1).to(nodes.dtype)
+        nodes = _where(there, nodes)
+        own = _where(there, self.own(nodes).tanh())
         if graph is None:
-            heard, around, sees = torch.zeros_like(own), torch.zeros_like(nodes), 0.0 * there
+            heard, around = torch.zeros_like(own), torch.zeros_like(nodes)
+            sees = torch.zeros_like(nodes[..., :1])
         else:
             both, has_neighbor = neighbor_mean(torch.cat([self.message(own), nodes], -1), graph)
             heard, around = torch.split(both, [own.shape[-1], nodes.shape[-1]], -1)
             sees = has_neighbor.to(nodes.dtype)
             around = around - nodes * sees
         mixed = self.mixed(torch.cat([own, heard, around, sees], -1)).tanh()
-        gate, candidate = self.recurrence(mixed).transpose(0, 1).chunk(2, -1)
-        # Who is absent learns nothing and forgets nothing.
-        gate = gate.sigmoid() * there.transpose(0, 1)
-        learned = gate * candidate.tanh()
-        width = self.hidden
-        known = torch.cat(
-            [
-                linear_scan(1.0 - gate[..., :width], learned[..., :width]),
-                linear_scan(1.0 - gate[..., width:], learned[..., width:], reverse=True),
-            ],
-            -1,
-        )
-        return known.transpose(0, 1) * there
+        # Time first while it is narrow.
+        told = self.recurrence(mixed.transpose(0, 1).contiguous())
+        known = gated_scan(told, None if there is None else there.transpose(0, 1))
+        return _where(there, known.transpose(0, 1))
+
+
+def _where(there: Tensor | None, values: Tensor) -> Tensor:
+    """Return values, 0 where nobody is."""
+    return values if there is None else values * there

@@ -147,8 +147,8 @@ class FollowingGuide(PathGuide):
         What neighbours add when they leave the reference path is left out.
         """
         known = self.setting(batch, values)
-        steps = self.chain.steps(known.sightings, known.law, known.start, batch.present)
-        return known.reference + steps.mean(known.reference)
+        parts = known.sightings, known.law, known.start, batch.present
+        return known.reference + self.chain.mean(*parts)
 
     def _setting(self, batch: SwarmBatch) -> Setting:
         initial = self.model.initial()
@@ -162,8 +162,8 @@ class FollowingGuide(PathGuide):
                 sightings = self._sightings(batch, reference, variance)
                 law = self._law(batch, reference, variance)
                 start = Start(mean - reference, variance)
-                steps = self.chain.steps(sightings, law, start, batch.present)
-                reference = torch.where(there, reference + steps.mean(reference), 0.0)
+                off = self.chain.mean(sightings, law, start, batch.present)
+                reference = torch.where(there, reference + off, 0.0)
         sightings = self._sightings(batch, reference, variance)
         with contextlib.nullcontext() if self.differentiates_law else torch.no_grad():
             law = self._law(batch, reference, variance)
@@ -241,8 +241,7 @@ class FollowingGuide(PathGuide):
 
     def _rough(self, batch: SwarmBatch, mean: Tensor, variance: Tensor) -> Tensor:
         """Smooth each individual by itself; return the path, 0 where absent."""
-        about = self._still(batch, mean, variance)
-        sightings = self._sightings(batch, about, variance)
+        about, sightings = self._still(batch, mean, variance)
         start = Start(mean - about, variance)
         # The noise of the law where the window begins stands for all of it.
         steps = batch.steps()
@@ -259,19 +258,24 @@ class FollowingGuide(PathGuide):
             noise = self._noise_like(variance)[:, :0]
         drift = torch.zeros_like(mean[:, 1:, :, : self.chain.free_dim])
         law = Law(drift, noise, self._gains(drift))
-        smoothed = about + self.chain.steps(sightings, law, start, batch.present).mean(about)
+        smoothed = about + self.chain.mean(sightings, law, start, batch.present)
         return torch.where(batch.present.unsqueeze(-1), smoothed, 0.0)
 
-    def _still(self, batch: SwarmBatch, mean: Tensor, variance: Tensor) -> Tensor:
-        """Return a path on which everybody stays in the middle of where it was seen."""
+    def _still(
+        self, batch: SwarmBatch, mean: Tensor, variance: Tensor
+    ) -> tuple[Tensor, Sightings]:
+        """Return a path on which everybody stays in the middle of where it was seen, and what was
+        seen as deviations from it.
+        """
         sightings = self._sightings(batch, mean, variance)
         weight = sightings.precision.sum(1, keepdim=True)
         middle = (sightings.location * sightings.precision).sum(1, keepdim=True)
-        still = mean + torch.where(weight > 0, middle / torch.where(weight > 0, weight, 1.0), 0.0)
+        middle = middle / torch.where(weight > 0, weight, 1.0)
+        still = mean + middle
         if self.is_kinematic:
             space = self.chain.free_dim
             still = torch.cat([still[..., :space], torch.zeros_like(still[..., space:])], -1)
-        return still
+        return still, sightings._replace(location=sightings.location - (still - mean))
 
     def _sightings(self, batch: SwarmBatch, reference: Tensor, variance: Tensor) -> Sightings:
         """Return what was seen, as deviations from a reference."""

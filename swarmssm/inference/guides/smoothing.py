@@ -35,19 +35,23 @@ class SmoothingGuide(FollowingGuide):
         """Draw a path for each window; see :meth:`PathGuide.path`."""
         known = self.setting(batch, values)
         parts = known.sightings, known.law, known.start, batch.present
-        mean = self.chain.steps(*parts).mean(known.reference)
+        mean = self.chain.mean(*parts)
         spread = self.chain.spread(*parts)
         free = self.model.transition.free
+        stays, comes = who_moves(batch.present)
+        # An individual comes or stays, never both: one draw of noise serves either.
+        noise = torch.randn_like(mean)
+        # Later frames have first states only if somebody comes in one.
+        frames = slice(None) if bool(comes[:, 1:].any()) else slice(1)
         stretch = known.correction
-        first_noise, noise = torch.randn_like(mean), torch.randn_like(free(mean)[:, 1:])
-        first_scale = spread.first * stretch.exp()
-        scale = spread.free * free(stretch)[:, 1:].exp()
+        first_noise, free_noise = noise[:, frames], free(noise)[:, 1:]
+        first_log = spread.first[:, frames].log() + stretch[:, frames]
+        free_log = spread.free.log() + free(stretch)[:, 1:]
         off = self.chain.join(
-            mean + first_scale * first_noise,
-            free(mean)[:, 1:] + scale * noise,
+            mean[:, frames] + first_log.exp() * first_noise,
+            free(mean)[:, 1:] + free_log.exp() * free_noise,
             batch.present,
         )
-        stays, comes = who_moves(batch.present)
-        density = normal_terms(first_noise, first_scale.log().sum(-1), comes)
-        density = density + normal_terms(noise, scale.log().sum(-1), stays)
+        density = normal_terms(first_noise, first_log.sum(-1), comes[:, frames])
+        density = density + normal_terms(free_noise, free_log.sum(-1), stays)
         return known.reference + off, density

@@ -58,6 +58,24 @@ class Trajectory:
     adjacency: torch.Tensor
 
 
+@dataclass(frozen=True)
+class Kernels:
+    """Where sampled futures expect the next sighting, before its own noise is drawn.
+
+    Attributes
+    ----------
+    location, variance
+        ``(draw, origin, step, individual, space)``, scaled: mean and variance of the position seen
+        after the step, given the sampled state before it.
+    degrees
+        Degrees of freedom, if the step is a Student's t; else infinite.
+    """
+
+    location: torch.Tensor
+    variance: torch.Tensor
+    degrees: float
+
+
 class Predictor(ABC):
     """A fitted model and guide, on tensors. States are scaled as the model sees them."""
 
@@ -131,6 +149,13 @@ class Predictor(ABC):
         sample
             Whether all that is random is drawn, or takes its mean.
         """
+
+    def kernels(self, beginning: Beginning, steps: int) -> Kernels | None:
+        """Draw futures, and return what each expects of its next sighting.
+
+        ``None`` for a model that has no distribution of one step to tell.
+        """
+        return None
 
     def observe(self, states: torch.Tensor, beginning: Beginning) -> torch.Tensor:
         """Draw what is seen of states, positions in front; states themselves, if seen exactly.

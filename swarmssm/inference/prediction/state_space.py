@@ -13,7 +13,7 @@ from swarmssm.graphs import GraphRule, dense
 from swarmssm.inference.data import Prepared, frames_of
 from swarmssm.inference.guides import LinearizedGuide, PathGuide
 from swarmssm.inference.guides.base import MEAN_DRAWS
-from swarmssm.inference.prediction.base import Beginning, Predictor, Trajectory
+from swarmssm.inference.prediction.base import Beginning, Kernels, Predictor, Trajectory
 from swarmssm.inference.starting import MAX_CARRY
 from swarmssm.models import ObservedEdges, StateSpaceModel, StepInputs, SwarmBatch
 from swarmssm.models.parameters import priors_of
@@ -243,17 +243,7 @@ class StateSpacePredictor(Predictor):
         if beginning.parameters is None:
             return self._run(beginning, self._middle(), steps, sample)
         parts = [
-            self._run(
-                Beginning(
-                    beginning.states[draw],
-                    beginning.adjacency[draw],
-                    beginning.present[draw],
-                    beginning.unscaled[draw],
-                ),
-                values,
-                steps,
-                sample,
-            )
+            self._run(_one_draw(beginning, draw), values, steps, sample)
             for draw, values in enumerate(beginning.parameters)
         ]
         return Trajectory(
@@ -261,6 +251,45 @@ class StateSpacePredictor(Predictor):
                 torch.stack([getattr(part, name) for part in parts])
                 for name in ("states", "edge_probability", "adjacency")
             )
+        )
+
+    @torch.no_grad()
+    def kernels(self, beginning: Beginning, steps: int) -> Kernels:
+        """Draw futures, and return what each expects; see :meth:`Predictor.kernels`."""
+        if beginning.parameters is None:
+            return self._kernels(beginning, self._middle(), steps)
+        parts = [
+            self._kernels(_one_draw(beginning, draw), values, steps)
+            for draw, values in enumerate(beginning.parameters)
+        ]
+        return Kernels(
+            torch.stack([part.location for part in parts]),
+            torch.stack([part.variance for part in parts]),
+            min(part.degrees for part in parts),
+        )
+
+    def _kernels(self, start: Beginning, values: Values, steps: int) -> Kernels:
+        """Return kernels with given parameters."""
+        path = self._run(start, values, steps, sample=True)
+        before = torch.cat([start.states.unsqueeze(-3), path.states[..., :-1, :, :]], dim=-3)
+        first = start.adjacency.to(path.edge_probability.dtype).unsqueeze(-3)
+        graph = torch.cat([first, path.edge_probability[..., :-1, :, :]], dim=-3)
+        present = start.present.unsqueeze(-2).expand(before.shape[:-1])
+        gone = ~present.unsqueeze(-1)
+        inputs = StepInputs(graph, None, present)
+        space = before.shape[-1] // 2
+        with self.model.fixed(values), pyro.validation_enabled(False):
+            following = self.model.step(before.masked_fill(gone, 0.0), inputs)
+            location, variance = following.mean[..., :space], following.variance[..., :space]
+            if self.model.emission is not None:
+                variance = variance + self.model.emission(following.mean).variance[..., :space]
+        inner = getattr(following, "velocity", following)
+        inner = getattr(inner, "base_dist", inner)
+        degrees = getattr(inner, "degrees", getattr(inner, "df", None))
+        return Kernels(
+            location.masked_fill(gone, torch.nan),
+            variance.expand(location.shape),
+            math.inf if degrees is None else float(degrees.min()),
         )
 
     @torch.no_grad()
@@ -313,3 +342,13 @@ class StateSpacePredictor(Predictor):
         positions, velocities = self.scaler.inverse_tensor(states).chunk(2, dim=-1)
         seen = positions.masked_fill(~present.unsqueeze(-1), torch.nan)
         return self.rule(seen, velocities).to(states.dtype)
+
+
+def _one_draw(beginning: Beginning, draw: int) -> Beginning:
+    """Return the part of a beginning that belongs to one draw."""
+    return Beginning(
+        beginning.states[draw],
+        beginning.adjacency[draw],
+        beginning.present[draw],
+        beginning.unscaled[draw],
+    )

@@ -28,12 +28,13 @@ def graph_ssm(
     rounds: int = 1,
     positions: bool = True,
     speed_limits: bool = True,
-    symmetries: Symmetries = "none",
+    symmetries: Symmetries = "mirror",
     noise: Noise = "state",
     tails: Tails = "student",
     observed: Literal["positions", "states"] = "positions",
     observation_noise: float | None = None,
     edges: str = "observed",
+    weight_prior: float | None = 0.05,
     controls: int = 0,
 ) -> StateSpaceModel:
     """Return a state-space model whose law of motion is a gated graph network.
@@ -46,7 +47,7 @@ def graph_ssm(
     ----------
     scales
         Typical sizes of the training tracks.
-    width, rounds, positions, speed_limits, symmetries, noise, tails, controls
+    width, rounds, positions, speed_limits, symmetries, noise, tails, weight_prior, controls
         Of :class:`swarmssm.models.transitions.GraphTransition`.
     observed
         ``"positions"``: positions are seen with noise, and velocities are latent. ``"states"``:
@@ -79,6 +80,7 @@ def graph_ssm(
         symmetries=symmetries,
         noise=noise,
         tails=tails,
+        weight_prior=weight_prior,
         controls=controls,
     )
     emission = None

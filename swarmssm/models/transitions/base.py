@@ -91,6 +91,13 @@ class Transition(Part):
         """
         return batch
 
+    def log_prior(self) -> torch.Tensor | None:
+        """Return the log-density of weights that are learned as points; ``None``, it is flat.
+
+        Training maximises it along with the ELBO, in which it counts once however many the data.
+        """
+        return None
+
     def free(self, states: torch.Tensor) -> torch.Tensor:
         """Return the features that noise moves, ``(..., free_dim)``."""
         return states

@@ -81,6 +81,10 @@ class GraphTransition(KinematicTransition):
         ``"gaussian"``; or ``"student"``, with learned degrees of freedom, for animals that dart.
     noise_scale
         :math:`\sigma` in the unit of velocity, a number, prior or parameter; absent, learned.
+    weight_prior
+        Standard deviation of a normal prior of each weight of the network, times the root of the
+        number of inputs of its layer; ``None``, none. It keeps the law at constant velocity where
+        the data are few, and is lost among many.
     controls
         Number of exogenous inputs, which all individuals are told.
 
@@ -104,6 +108,7 @@ class GraphTransition(KinematicTransition):
         noise: Noise = "constant",
         tails: Tails = "gaussian",
         noise_scale: Any = None,
+        weight_prior: float | None = None,
         controls: int = 0,
     ) -> None:
         super().__init__(scales.space, scales.dt)
@@ -122,6 +127,9 @@ class GraphTransition(KinematicTransition):
             )
         self.sees_place = positions
         self.noise, self.tails, self.symmetries = noise, tails, symmetries
+        if weight_prior is not None and not 0.0 < weight_prior < math.inf:
+            raise InputError(f"weight_prior: it must be positive or null, not {weight_prior!r}.")
+        self.weight_prior = weight_prior
         self.controls = controls
         space = self.space
         self.length, self.spacing = _positive(scales.length), _positive(scales.spacing)
@@ -161,6 +169,17 @@ class GraphTransition(KinematicTransition):
         if self.symmetries == "none":
             return self.origin
         return self.origin + self.length * self.shift
+
+    def log_prior(self) -> torch.Tensor | None:
+        """Return the log-density of the network's weights, up to a constant."""
+        if self.weight_prior is None:
+            return None
+        squares = [
+            weight.square().sum() * weight.shape[-1]
+            for weight in self.network.parameters()
+            if weight.dim() > 1
+        ]
+        return -0.5 * torch.stack(squares).sum() / self.weight_prior**2
 
     def augmented(self, batch: SwarmBatch) -> SwarmBatch:
         """Return the windows, each at random in one of the mirrors where the law looks the same.

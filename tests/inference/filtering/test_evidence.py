@@ -1,4 +1,4 @@
-"""The collapsed evidence against filterpy, the dense Gaussian, the plain filter and the particles."""
+"""The collapsed evidence against filterpy, a dense Gaussian, the plain filter, weighted paths."""
 
 from dataclasses import replace
 
@@ -12,6 +12,7 @@ from swarmssm.errors import WorkError
 from swarmssm.inference.filtering import (
     collapsed_evidence,
     extended_kalman,
+    iterated_smoother,
     linearization_points,
     smooth,
     weigh_paths,
@@ -69,7 +70,9 @@ def judged(model, batch, window):
     for t in range(times):
         if t:
             inputs = batch.select(torch.tensor([window])).steps().at(t - 1)
-            law = model.transition.linearize(torch.zeros(1, individuals, state, dtype=DOUBLE), inputs)
+            law = model.transition.linearize(
+                torch.zeros(1, individuals, state, dtype=DOUBLE), inputs
+            )
             judge.F = law.jacobian.reshape(joint, joint).numpy()
             judge.Q = torch.block_diag(*law.noise[0]).numpy()
             assert law.mean.abs().max() == 0
@@ -220,33 +223,26 @@ def test_points_are_the_most_probable_path():
             assert score(nudged) < best + 0.01  # the search ends when a step gains 0.01 nat
 
 
-def test_it_is_nearer_to_the_truth_than_the_filter():
-    """The truth by 20,000 weighted paths of the smoother, whose own error is estimated."""
+def test_it_is_near_the_truth():
+    """The truth by 2,000 weighted paths of the smoother, whose own error is estimated."""
     model, values, batch = boids(), truth(requires_grad=False), flock(3, 12, 2)
-    from swarmssm.inference.filtering import iterated_smoother
-
     smoother = iterated_smoother(model, batch, values)
-    weighed = weigh_paths(model, batch, values, smoother.filtered, 20_000, seed=0)
+    weighed = weigh_paths(model, batch, values, smoother.filtered, 2_000, seed=0)
     relative = (weighed.log_weights - weighed.log_evidence).exp()
     error = relative.std(0) / len(relative) ** 0.5
-    iterated = collapsed_evidence(model, batch, values)
-    extended = collapsed_evidence(model, batch, values, method="extended")
-    off = (iterated - weighed.log_evidence).abs()
-    assert (error < 0.1).all()
-    assert (off < (extended - weighed.log_evidence).abs() + 6 * error).all()
-    assert (off < 0.5).all()
+    assert (error < 0.05).all()
+    off = (collapsed_evidence(model, batch, values) - weighed.log_evidence).abs()
+    # 72 numbers were seen: a thousandth of a nat for each is what linearising costs.
+    assert (off < 72e-3 + 6 * error).all()
 
 
 def test_heavy_tails_are_laplaces_integral():
-    """One individual at rest that is seen once: the integral over its position by quadrature."""
-    model = StateSpaceModel(
-        InitialStates(torch.zeros(4), torch.tensor([1.0, 1e-3, 1e-3, 1e-3])),
-        boids().transition,
-        PositionEmission(2, 0.1, tails="student", excess_degrees=3.0),
-        LatentEdges("radius:2.0"),
-    ).double()
-    seen = torch.zeros(1, 1, 1, 2, dtype=DOUBLE)
-    seen[..., 0] = 0.4
+    """One individual that is seen once: the integral over its position by quadrature."""
+    initial = InitialStates(torch.zeros(4), torch.tensor([1.0, 1e-3, 1e-3, 1e-3]))
+    emission = PositionEmission(2, 0.1, tails="student", excess_degrees=3.0)
+    model = StateSpaceModel(initial, boids().transition, emission, LatentEdges("radius:2.0"))
+    model = model.double()
+    seen = torch.tensor([0.4, 0.0], dtype=DOUBLE).reshape(1, 1, 1, 2)
     mask = torch.ones(1, 1, 1, dtype=torch.bool)
     batch = SwarmBatch.of(seen, mask, torch.zeros(1, 1, 1, 1, dtype=DOUBLE))
     values = {k: v for k, v in truth(False).items() if k.startswith("transition")}
@@ -254,15 +250,14 @@ def test_heavy_tails_are_laplaces_integral():
     grid = torch.linspace(-3, 3, 20_001, dtype=DOUBLE)
     states = torch.zeros(len(grid), 4, dtype=DOUBLE)
     states[:, 0] = grid
-    density = model.initial().log_prob(states) - model.initial().log_prob(states)[0]
-    density = density + torch.distributions.Normal(0.0, 1.0).log_prob(grid[0])
-    density = density + model.emission(states).log_prob(seen[0, 0, 0])
+    density = torch.distributions.Normal(0.0, 1.0).log_prob(grid)
+    density = density + model.emission(states).log_prob(seen.reshape(2))
     exact = (density.logsumexp(0) + (grid[1] - grid[0]).log()).item()
+    # The curvature that reweighting uses is w / s^2, and the density's own at its top the same:
+    # w = (5 + 2) / 5 there. Tails make the integral wider by some tenths of a nat.
+    peak = density.max().item() + 0.5 * np.log(2 * np.pi * 0.01 / 1.4)
+    assert found == pytest.approx(peak, abs=0.02)
     assert found == pytest.approx(exact, abs=0.3)
-    heavy, light = model.emission, PositionEmission(2, 0.1 * (5 / 3) ** 0.5).double()
-    model.emission = light
-    assert abs(collapsed_evidence(model, batch, values).item() - exact) > 0.0
-    model.emission = heavy
 
 
 def test_the_chains_derivatives_pass_gradcheck():
