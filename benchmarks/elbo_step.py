@@ -6,10 +6,10 @@ step is the negative ELBO, its gradient, and one step of Adam:
 *library*
     The path of states is one sample site, and all steps are scored in one call.
 *per step*
-    The same parts, put together as Pyro's tutorials write a state-space model: in model and guide a
-    ``pyro.sample`` for each frame, inside ``pyro.markov``, and in the model a call of the transition
-    for each, on a matrix of pairs, which for one frame is faster than a list of edges. Model and
-    guide are Pyro modules as the library's are, and Pyro checks as little: arguments of
+    The same parts, put together as Pyro's tutorials write a state-space model: in model and guide
+    a ``pyro.sample`` for each frame, inside ``pyro.markov``, and in the model a call of the
+    transition for each, on a matrix of pairs, which for one frame is faster than a list of edges.
+    Model and guide are Pyro modules as the library's are, and Pyro checks as little: arguments of
     distributions are not validated, and weights of ordinary networks are no statements. What the
     guide knows of a whole window (its network, its smoother) it computes at once here too.
 *by hand*

@@ -1,6 +1,6 @@
 """Gains from noisy positions alone: 8 flocks of 10 boids, 200 frames, noise 0.03.
 
-    python benchmarks/gain_recovery.py [--seeds 1] [--method iterated|extended]
+    python benchmarks/gain_recovery.py [--seeds 1] [--method iterated|extended] [--given 15]
 
 Prints posterior means with 90 % intervals beside the truth, the regression on finite differences,
 and the time.
@@ -21,13 +21,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--method", choices=["iterated", "extended"], default="iterated")
+    parser.add_argument("--given", type=int, default=15, help="frames that are not scored")
     options = parser.parse_args()
     for seed in range(options.seeds):
         tracks = simulate(TRUTH, seed, 8, 200)
         gains, _, noise = finite_differences(tracks)
         rival = dict(zip(GAINS, gains, strict=True)) | {"transition.process_noise": noise}
         began = time.perf_counter()
-        found = laplace(flock_model(), windows(tracks), method=options.method)
+        found = laplace(flock_model(), windows(tracks), method=options.method, given=options.given)
         seconds = time.perf_counter() - began
         deviation = found.scale_tril.square().sum(-1).sqrt()
         generator = torch.Generator().manual_seed(seed)

@@ -156,6 +156,7 @@ def main() -> None:
             "noise": "constant",
             "tails": "gaussian",
             "observed": "states",
+            "weight_prior": None,
         },
         graph=f"radius:{RADIUS}",
         split_by="trial",

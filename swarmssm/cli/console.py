@@ -199,8 +199,7 @@ def training_progress(label: str) -> Iterator[Callable[["Progress"], None]]:
         if done or time.monotonic() - last >= LINE_EVERY:
             last = time.monotonic()
             typer.echo(
-                f"{label}: epoch {progress.epoch}{whole}, "
-                f"loss {short(progress.loss)}",
+                f"{label}: epoch {progress.epoch}{whole}, loss {short(progress.loss)}",
                 err=True,
             )
 

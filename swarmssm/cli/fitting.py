@@ -33,7 +33,8 @@ def fit(
         str, typer.Option(help="Name of a model, or module:attribute of your own.")
     ] = "graph-vae",
     guide: Annotated[
-        str, typer.Option(
+        str,
+        typer.Option(
             help="Name of a guide, or module:attribute of your own. Default: the model's usual one."
         ),
     ] = "auto",
@@ -46,7 +47,7 @@ def fit(
         ),
     ] = None,
     steps: Annotated[
-        int | None, typer.Option(help="Steps of the optimiser, rounded up to whole epochs.")
+        int | None, typer.Option(help="Steps of the optimiser; the last epoch may be partial.")
     ] = None,
     epochs: Annotated[
         int | None, typer.Option(help="Passes over the training part. Default: the model's own.")
@@ -55,7 +56,8 @@ def fit(
     lr: Annotated[float, typer.Option(help="Learning rate of Adam.")] = 0.005,
     schedule: Annotated[str, typer.Option(help="Learning rate: cosine or constant.")] = "cosine",
     window: Annotated[
-        int | None, typer.Option(help="Frames in a window; 0 for whole trials. Default: the guide's.")
+        int | None,
+        typer.Option(help="Frames in a window; 0 for whole trials. Default: the guide's own."),
     ] = None,
     batch_windows: Annotated[
         int | None, typer.Option(help="Windows in a mini-batch; 0 for all. Default: a tenth.")
@@ -147,4 +149,5 @@ def _print_fit(fitted: "Fit") -> None:
     summary = fitted.parameter_table()
     if len(summary):
         columns = ("parameter", "mean", "sd", "5 %", "95 %")
-        print_table("posterior, with 90 % intervals", columns, summary.reset_index().values.tolist())
+        rows = summary.reset_index().to_numpy().tolist()
+        print_table("posterior, with 90 % intervals", columns, rows)

@@ -38,8 +38,10 @@ class Collapsed:
         method: Method = "iterated",
         layout: Layout = "auto",
         points: Points | None = None,
+        given: int = 0,
     ) -> None:
         self.model, self.method, self.layout, self.points = model, method, layout, points
+        self.given = given
 
     def __call__(self, batch: SwarmBatch) -> None:
         """Sample the parameters and weigh them by the evidence of the windows."""
@@ -48,7 +50,13 @@ class Collapsed:
     def evidence(self, batch: SwarmBatch, values: Mapping[str, torch.Tensor]) -> torch.Tensor:
         """Return what the windows say of the evidence of their population, at given values."""
         found = collapsed_evidence(
-            self.model, batch, values, method=self.method, layout=self.layout, points=self.points
+            self.model,
+            batch,
+            values,
+            method=self.method,
+            layout=self.layout,
+            points=self.points,
+            given=self.given,
         )
         return population_evidence(batch, found)
 
@@ -59,6 +67,7 @@ def collapsed(
     method: Method = "iterated",
     layout: Layout = "auto",
     points: Points | None = None,
+    given: int = 0,
 ) -> Collapsed:
     r"""Return :math:`p(\theta) \prod_w p(x^{(w)} \mid \theta)` as a Pyro model, paths summed out.
 
@@ -69,7 +78,7 @@ def collapsed(
     ----------
     model
         With an emission, and priors.
-    method, layout
+    method, layout, given
         As in :func:`swarmssm.inference.filtering.collapsed_evidence`.
     points
         Hold the points of linearisation: those of the batch that it will be called with. NUTS
@@ -81,4 +90,4 @@ def collapsed(
     Called with a batch. In a mini-batch the evidence counts ``population / batch`` times, and the
     priors once.
     """
-    return Collapsed(model, method, layout, points)
+    return Collapsed(model, method, layout, points, given)

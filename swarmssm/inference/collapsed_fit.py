@@ -112,6 +112,7 @@ def _by_laplace(
         model,
         windows,
         layout=guide.layout,
+        given=_given(guide, windows),
         callback=lambda step, loss: note(step, None, loss),
     )
     found.fill(guide.parameters_guide)
@@ -127,7 +128,7 @@ def _by_svi(
     """Maximise the ELBO of the parameters alone."""
     steps, size = options["steps"], options["batch_windows"] or len(windows)
     parameters = guide.parameters_guide
-    target = collapsed(model, layout=guide.layout)
+    target = collapsed(model, layout=guide.layout, given=_given(guide, windows))
     weights = {id(p): p for part in (model, parameters) for p in part.parameters()}
     learned = [p for p in weights.values() if p.requires_grad]
     optimizer = torch.optim.Adam(learned, lr=options["lr"])
@@ -160,6 +161,11 @@ def _by_svi(
         note(step, steps, loss, keep=step % every == 0 or step == steps)
 
 
+def _given(guide: LinearizedGuide, windows: SwarmBatch) -> int:
+    """Return how many frames of each window are not scored."""
+    return min(guide.given, windows.num_times // 4)
+
+
 def _batches(number: int, size: int) -> Iterator[torch.Tensor]:
     """Yield mini-batches of one pass after another, each in a random order."""
     while True:
@@ -168,7 +174,7 @@ def _batches(number: int, size: int) -> Iterator[torch.Tensor]:
 
 def _score(model: StateSpaceModel, guide: LinearizedGuide, windows: SwarmBatch) -> float:
     """Return the negative evidence per coordinate at the guide's median."""
-    target = collapsed(model, layout=guide.layout)
+    target = collapsed(model, layout=guide.layout, given=_given(guide, windows))
     values = guide.parameters_guide.median()
     with torch.no_grad():
         evidence = target.evidence(windows, values)

@@ -99,6 +99,7 @@ def laplace(
     *,
     method: Method = "iterated",
     layout: Layout = "auto",
+    given: int = 0,
     start: Mapping[str, Tensor] | None = None,
     callback: Callable[[int, float], None] | None = None,
 ) -> Laplace:
@@ -119,7 +120,7 @@ def laplace(
         With an emission.
     batch
         All windows to fit; weighted and scaled as in the ELBO.
-    method, layout
+    method, layout, given
         As in :func:`swarmssm.inference.filtering.collapsed_evidence`.
     start
         Values to begin with, full name -> value; those left out begin at the prior's median.
@@ -136,7 +137,7 @@ def laplace(
     if model.emission is None:
         raise InputError("model: its states are observed exactly; there is nothing to sum out.")
     with quiet_pyro():
-        problem = _Problem(model, batch, method, layout, start or {}, callback)
+        problem = _Problem(model, batch, method, layout, given, start or {}, callback)
         return problem.solve()
 
 
@@ -149,6 +150,7 @@ class _Problem:
         batch: SwarmBatch,
         method: Method,
         layout: Layout,
+        given: int,
         start: Mapping[str, Tensor],
         callback: Callable[[int, float], None] | None,
     ) -> None:
@@ -156,6 +158,7 @@ class _Problem:
         self.model = copy.deepcopy(model).double()
         self.batch = _as_double(batch)
         self.method, self.layout, self.callback = method, layout, callback
+        self.given = given
         guide = GlobalGuide(self.model, "multivariate")
         self.names = tuple(guide.names)
         middle = guide.median()
@@ -211,6 +214,7 @@ class _Problem:
             method=self.method,
             layout=self.layout,
             points=self.points,
+            given=self.given,
         )
         return population_evidence(self.batch, evidence) + prior + jacobian
 

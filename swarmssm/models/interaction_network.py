@@ -123,6 +123,7 @@ class InteractionNetwork(nn.Module):
     def _last(self, together: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Return gate and candidate of the last round, and what is linear: one product of all."""
         update, width = self.update[-1], self.enter.out_features
+        assert isinstance(update, nn.Linear)
         weight = torch.cat([update.weight, self.straight.weight])
         bias = nn.functional.pad(update.bias, (0, self.straight.out_features))
         sizes = [width, width, self.straight.out_features]

@@ -72,7 +72,8 @@ def projective_scan(gain: Tensor, first: Tensor, *, reverse: bool = False) -> Te
 def gated_scan(told: Tensor, there: Tensor | None = None) -> Tensor:
     r"""Return a gated recurrence both ways in time.
 
-    .. math:: h_t = (1 - z_t) h_{t-1} + z_t c_t, \qquad z_t = \sigma(\cdot), \quad c_t = \tanh(\cdot)
+    .. math::
+        h_t = (1 - z_t) h_{t-1} + z_t c_t, \qquad z_t = \sigma(\cdot), \quad c_t = \tanh(\cdot)
 
     from :math:`h_0 = 0` on forwards, and the same from the last frame on backwards.
 
@@ -109,7 +110,7 @@ class _Gated(torch.autograd.Function):
         return states
 
     @staticmethod
-    @once_differentiable  # type: ignore[untyped-decorator]
+    @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None]:
         gate, candidate, keep, states = ctx.saved_tensors
         half = states.shape[-1] // 2

@@ -12,6 +12,7 @@ from swarmssm.errors import InputError
 from swarmssm.graphs import EdgeList, Pairs
 from swarmssm.models import InitialStates, Scales, StateSpaceModel, StepInputs, SwarmBatch
 from swarmssm.models.interaction_network import InteractionNetwork
+from swarmssm.models.ready import graph_ssm
 from swarmssm.models.reflections import reflected
 from swarmssm.models.transitions import GraphTransition, SoftSpeedLimits
 from swarmssm.models.transitions.base import Transition
@@ -443,3 +444,26 @@ def test_the_centre_of_a_symmetric_arena_is_found():
         schedule.step()
     # 500 coordinates on each axis with noise 0.01 against a pull of 0.05: standard error 0.009.
     assert (transition.centre - true).abs().max() < 0.036
+
+
+def test_the_weight_prior_is_normal_and_counts_once():
+    transition = GraphTransition(scales(), width=4, weight_prior=0.5)
+    expected = sum(
+        -0.5 * float((weight.detach() ** 2).sum()) * weight.shape[1] / 0.25
+        for weight in transition.network.parameters()
+        if weight.dim() == 2
+    )
+    assert float(transition.log_prior().detach()) == pytest.approx(expected, rel=1e-5)
+    assert GraphTransition(scales(), width=4).log_prior() is None
+    with pytest.raises(InputError, match="weight_prior"):
+        GraphTransition(scales(), width=4, weight_prior=0.0)
+
+
+def test_the_weight_prior_is_part_of_training_alone():
+    model = graph_ssm(scales(), width=4)
+    states = torch.zeros(2, 3, NUMBER, 2)
+    batch = SwarmBatch.of(states, torch.ones(2, 3, NUMBER, dtype=bool), graphs(2, 3).float())
+    for training in (True, False):
+        model.train(training)
+        sites = pyro.poutine.trace(model).get_trace(batch).nodes
+        assert ("weights" in sites) == training

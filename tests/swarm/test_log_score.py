@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from swarmssm.metrics import gaussian_log_score, moments_of_draws
+from swarmssm.metrics import gaussian_log_score, mixture_log_score, moments_of_draws
 
 
 def test_it_is_scipys_log_density_per_coordinate():
@@ -53,3 +53,40 @@ def test_moments_of_draws():
     np.testing.assert_allclose(covariance, np.cov(draws, rowvar=False))
     with pytest.raises(ValueError, match="2 draws have no covariance in 2 coordinates"):
         moments_of_draws(draws[:2])
+
+
+@pytest.mark.parametrize("degrees", [math.inf, 4.5])
+def test_futures_that_agree_leave_the_density_of_the_last_step(degrees):
+    generator = np.random.default_rng(2)
+    truth, place = generator.normal(size=(2, 6, 2))
+    location = np.broadcast_to(place, (7, 6, 2))
+    variance = np.broadcast_to(generator.uniform(0.5, 2.0, size=(6, 1)), (6, 2))
+    found = mixture_log_score(truth, location, np.broadcast_to(variance, (7, 6, 2)), degrees)
+    for i in range(6):
+        if math.isinf(degrees):
+            law = scipy.stats.multivariate_normal(place[i], np.diag(variance[i]))
+        else:
+            shape = np.diag(variance[i]) * (degrees - 2) / degrees
+            law = scipy.stats.multivariate_t(place[i], shape, df=degrees)
+        np.testing.assert_allclose(found[i], 0.5 * law.logpdf(truth[i]), rtol=1e-10)
+
+
+def test_many_futures_tend_to_their_density():
+    """Places of variance 3 and a last step of variance 1 make a normal of variance 4."""
+    generator = np.random.default_rng(3)
+    truth = generator.normal(scale=2.0, size=(300, 2))
+    location = generator.normal(scale=3**0.5, size=(4000, 1, 2)).repeat(300, 1)
+    found = mixture_log_score(truth, location, np.ones_like(location))
+    exact = gaussian_log_score(truth, np.zeros(2), 4.0 * np.eye(2))
+    # The kernels widen 4 by 3 * 4000^(-1/3) = 0.19: a loss of about (0.19 / 4)^2 / 4 in the mean.
+    assert abs(found.mean() - exact.mean()) < 0.01
+
+
+def test_a_future_that_breaks_down_gives_no_probability():
+    location = np.zeros((5, 3, 2))
+    location[2, 1] = np.inf
+    location[:, 2] = np.nan
+    found = mixture_log_score(np.zeros((3, 2)), location, np.ones_like(location))
+    assert np.isfinite(found[0])
+    assert found[1] == -np.inf
+    assert np.isnan(found[2])

@@ -374,7 +374,7 @@ class KinematicChain(Chain):
             self.dt,
             _halves(columns, sightings.precision + sure),
             _halves(columns, told),
-            tuple(columns(part.expand(each)) for part in (law.drift, law.noise, *law.gains)),
+            [columns(part.expand(each)) for part in (law.drift, law.noise, *law.gains)],
             columns(stays.unsqueeze(-1).expand(each)),
             columns(comes.unsqueeze(-1).expand(half)),
         )

@@ -261,9 +261,7 @@ class FollowingGuide(PathGuide):
         smoothed = about + self.chain.mean(sightings, law, start, batch.present)
         return torch.where(batch.present.unsqueeze(-1), smoothed, 0.0)
 
-    def _still(
-        self, batch: SwarmBatch, mean: Tensor, variance: Tensor
-    ) -> tuple[Tensor, Sightings]:
+    def _still(self, batch: SwarmBatch, mean: Tensor, variance: Tensor) -> tuple[Tensor, Sightings]:
         """Return a path on which everybody stays in the middle of where it was seen, and what was
         seen as deviations from it.
         """

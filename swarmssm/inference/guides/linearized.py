@@ -16,6 +16,8 @@ from swarmssm.models import KinematicTransition, StateSpaceModel, SwarmBatch
 
 __all__ = ["Globals", "LinearizedGuide"]
 
+#: Frames after which the beginning of a window is mostly forgotten.
+GIVEN = 15
 #: How the parameters with a prior are fitted.
 Globals = Literal["laplace", "multivariate", "normal"]
 
@@ -49,6 +51,10 @@ class LinearizedGuide(PathGuide):
         :func:`swarmssm.inference.filtering.collapsed_evidence`.
     iterations
         Of the search for the most probable path, at most.
+    given
+        Frames at the beginning of each window that are given and not scored when parameters are
+        fitted, a quarter of the window at most; see
+        :func:`swarmssm.inference.filtering.collapsed_evidence` for what they prevent.
 
     Raises
     ------
@@ -64,8 +70,11 @@ class LinearizedGuide(PathGuide):
         globals: Globals = "laplace",
         layout: Layout = "auto",
         iterations: int = ITERATIONS,
+        given: int = GIVEN,
     ) -> None:
         _check(model)
+        if not isinstance(given, int) or given < 0:
+            raise InputError(f"given: it must be a number of frames, 0 or more, not {given!r}.")
         if globals not in get_args(Globals):
             raise InputError(f"globals: choose {', '.join(get_args(Globals))}, not {globals!r}.")
         if layout not in get_args(Layout):
@@ -74,6 +83,7 @@ class LinearizedGuide(PathGuide):
         self.globals = globals
         self.layout: Layout = layout
         self.iterations = iterations
+        self.given = given
 
     def path(
         self, batch: SwarmBatch, values: Mapping[str, torch.Tensor]

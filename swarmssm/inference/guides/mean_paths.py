@@ -30,7 +30,7 @@ def mean_paths(
     dt: float,
     sure: tuple[Tensor, Tensor],
     told: tuple[Tensor, Tensor],
-    law: tuple[Tensor, Tensor, Tensor, Tensor],
+    law: Sequence[Tensor],
     stays: Tensor,
     comes: Tensor,
 ) -> tuple[Tensor, Tensor] | None:

@@ -28,7 +28,7 @@ def graph_ssm(
     rounds: int = 1,
     positions: bool = True,
     speed_limits: bool = True,
-    symmetries: Symmetries = "mirror",
+    symmetries: Symmetries | None = None,
     noise: Noise = "state",
     tails: Tails = "student",
     observed: Literal["positions", "states"] = "positions",
@@ -47,8 +47,13 @@ def graph_ssm(
     ----------
     scales
         Typical sizes of the training tracks.
-    width, rounds, positions, speed_limits, symmetries, noise, tails, weight_prior, controls
+    width, rounds, positions, speed_limits, noise, tails, controls
         Of :class:`swarmssm.models.transitions.GraphTransition`.
+    symmetries
+        The same; absent, ``"mirror"``, or ``"none"`` where there are controls.
+    weight_prior
+        The same. The default is for recordings of some hundreds of frames, where a free network
+        learns by heart; with tens of thousands of states known exactly take ``None``.
     observed
         ``"positions"``: positions are seen with noise, and velocities are latent. ``"states"``:
         positions and velocities are known exactly, and the law of motion is fitted to them alone.
@@ -77,7 +82,7 @@ def graph_ssm(
         rounds=rounds,
         positions=positions,
         speed_limits=speed_limits,
-        symmetries=symmetries,
+        symmetries=symmetries or ("none" if controls else "mirror"),
         noise=noise,
         tails=tails,
         weight_prior=weight_prior,

@@ -355,6 +355,28 @@ def test_parameters_of_the_model_are_differentiated(linear_swarm, windows):
         assert parameter.grad.item() == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=1e-5)
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_frames_that_are_given_take_the_prior_of_first_states_with_them(method):
+    """By the chain rule; and what is left hardly knows how wide that prior was."""
+    batch = flock(4, 40, 1)
+    values, wholes, rests = truth(False), [], []
+    for width in (1.0, 3.0):
+        model = boids()
+        model.initial.scale = width * model.initial.scale
+        wholes.append(collapsed_evidence(model, batch, values, method=method))
+        rests.append(collapsed_evidence(model, batch, values, method=method, given=15))
+    # 16 coordinates, each with a density lower by log 3.
+    assert (wholes[0] - wholes[1]).item() == pytest.approx(16 * np.log(3), rel=0.2)
+    assert abs((rests[0] - rests[1]).item()) < 0.1
+    # One frame more: the density of its positions given the others is not above that of noise
+    # without any error of prediction.
+    longer = collapsed_evidence(model, batch, values, method=method, given=16)
+    most = -8 * (np.log(0.03) + 0.5 * np.log(2 * np.pi))
+    assert (rests[1] - longer).item() < most
+    with pytest.raises(ValueError, match="given must be from 0 to 39, and it is 40"):
+        collapsed_evidence(model, batch, values, method=method, given=40)
+
+
 def test_what_cannot_be_done_is_refused(linear_swarm, windows):
     model, batch = linear_swarm("kinematic"), windows()
     with pytest.raises(ValueError, match="'extended' or 'iterated', not 'exact'"):
