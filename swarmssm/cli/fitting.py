@@ -149,5 +149,5 @@ def _print_fit(fitted: "Fit") -> None:
     summary = fitted.parameter_table()
     if len(summary):
         columns = ("parameter", "mean", "sd", "5 %", "95 %")
-        rows = summary.reset_index().to_numpy().tolist()
-        print_table("posterior, with 90 % intervals", columns, rows)
+        posterior = summary.reset_index().to_numpy().tolist()
+        print_table("posterior, with 90 % intervals", columns, posterior)

@@ -1,9 +1,36 @@
 """Guides, fitting, forecasting and checkpoints."""
 
+from swarmssm.inference.collapsed import collapsed
+from swarmssm.inference.collapsed_fit import fit_collapsed
 from swarmssm.inference.fitted import Fit
 from swarmssm.inference.fitting import fit
-from swarmssm.inference.guides import GUIDES, GraphEncoderGuide, find_guide
+from swarmssm.inference.guides import (
+    GUIDES,
+    GraphEncoderGuide,
+    LinearizedGuide,
+    MarkovGuide,
+    PathGuide,
+    SmoothingGuide,
+    find_guide,
+)
+from swarmssm.inference.laplace import Laplace, laplace
 from swarmssm.inference.settings import FitSettings
 from swarmssm.inference.training import Progress
 
-__all__ = ["GUIDES", "Fit", "FitSettings", "GraphEncoderGuide", "Progress", "find_guide", "fit"]
+__all__ = [
+    "GUIDES",
+    "Fit",
+    "FitSettings",
+    "GraphEncoderGuide",
+    "Laplace",
+    "LinearizedGuide",
+    "MarkovGuide",
+    "PathGuide",
+    "Progress",
+    "SmoothingGuide",
+    "collapsed",
+    "find_guide",
+    "fit",
+    "fit_collapsed",
+    "laplace",
+]

@@ -10,6 +10,7 @@ import pyro.distributions as dist
 import torch
 from pyro.distributions import TorchDistribution
 from pyro.nn import PyroModule, pyro_method
+from pyro.poutine.runtime import am_i_wrapped
 
 from swarmssm.errors import InputError, WorkError
 from swarmssm.graphs import EdgeList, Graph, GraphRule
@@ -224,7 +225,8 @@ class StateSpaceModel(SwarmModel):
     def forward(self, batch: SwarmBatch) -> torch.Tensor:
         """Score a batch of windows; to be run under a Pyro handler. Returns the paths."""
         values = self.sample_globals()
-        weights = self.transition.log_prior() if self.training else None
+        # Simply called, as a sampler, a model has no use for it, and Pyro would warn.
+        weights = self.transition.log_prior() if self.training and am_i_wrapped() else None
         if weights is not None:
             pyro.factor("weights", weights)
         rows = torch.arange(len(batch), device=batch.mask.device)

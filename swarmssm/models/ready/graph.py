@@ -34,7 +34,7 @@ def graph_ssm(
     observed: Literal["positions", "states"] = "positions",
     observation_noise: float | None = None,
     edges: str = "observed",
-    weight_prior: float | None = 0.05,
+    weight_prior: float | Literal["auto"] | None = "auto",
     controls: int = 0,
 ) -> StateSpaceModel:
     """Return a state-space model whose law of motion is a gated graph network.
@@ -52,8 +52,8 @@ def graph_ssm(
     symmetries
         The same; absent, ``"mirror"``, or ``"none"`` where there are controls.
     weight_prior
-        The same. The default is for recordings of some hundreds of frames, where a free network
-        learns by heart; with tens of thousands of states known exactly take ``None``.
+        The same. ``"auto"``: 0.05 for positions, since in recordings of some hundreds of frames a
+        free network learns by heart; none for states that are known exactly.
     observed
         ``"positions"``: positions are seen with noise, and velocities are latent. ``"states"``:
         positions and velocities are known exactly, and the law of motion is fitted to them alone.
@@ -85,7 +85,7 @@ def graph_ssm(
         symmetries=symmetries or ("none" if controls else "mirror"),
         noise=noise,
         tails=tails,
-        weight_prior=weight_prior,
+        weight_prior=_weight_prior(observed) if weight_prior == "auto" else weight_prior,
         controls=controls,
     )
     emission = None
@@ -93,6 +93,11 @@ def graph_ssm(
         emission = PositionEmission(scales.space, _tracking_noise(scales, observation_noise))
     graph: Edges = ObservedEdges() if edges == "observed" else LatentEdges(edges)
     return StateSpaceModel(InitialStates.for_scales(scales), transition, emission, graph)
+
+
+def _weight_prior(observed: str) -> float | None:
+    """Return the usual prior of a network's weights."""
+    return None if observed == "states" else 0.05
 
 
 def _tracking_noise(scales: Scales, given: float | None) -> float | PyroParam:
