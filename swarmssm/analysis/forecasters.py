@@ -108,14 +108,10 @@ class ModelForecaster:
         return diverged(location, there), variance, found.degrees
 
     def positions(self, trials: Rows, rows: Rows, steps: int, draws: int, seed: int) -> Array:
-        """Run the rule and draw what is seen of it."""
-        with seeded(seed):
-            states = self._run(trials, rows, steps, draws=draws, seen=True)
-        return states[..., : self.subject.num_space]
+        """Run the rule; it is fitted to the tracks as they are, their noise included."""
+        return self.free_runs(trials, rows, steps, draws, seed)[..., : self.subject.num_space]
 
-    def _run(
-        self, trials: Rows, rows: Rows, steps: int, *, draws: int, seen: bool = False
-    ) -> Array:
+    def _run(self, trials: Rows, rows: Rows, steps: int, *, draws: int) -> Array:
         """Run from frames of the subject, a bounded number at once."""
         inputs = self.subject.inputs
         size = max(1, CHUNK // (max(draws, 1) * steps * inputs.mask.shape[-1] ** 2))
@@ -127,8 +123,7 @@ class ModelForecaster:
             )
             path = self.predictor.run(beginning, steps, sample=bool(draws))
             scaler = self.subject.fit.preparation.scaler
-            drawn = self.predictor.observe(path.states, beginning) if seen else path.states
-            states = scaler.inverse(drawn.numpy().astype(np.float64))
+            states = scaler.inverse(path.states.numpy().astype(np.float64))
             there = np.broadcast_to(beginning.present.numpy()[..., None, :], states.shape[:-1])
             pieces.append(diverged(states, there))
         return np.concatenate(pieces, axis=-4)

@@ -1,6 +1,5 @@
 """What is scored: a part of tracks, with what a forecaster may know of it and what it may not."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +13,7 @@ from swarmssm.inference.data import Prepared
 from swarmssm.inference.fitting import tracks_digest
 from swarmssm.kinematics import estimate_noise, smooth_positions
 from swarmssm.scaling import Scaler, fit_scaler
-from swarmssm.splits import PARTS, Segment, take
+from swarmssm.splits import PARTS, take
 from swarmssm.tracks import Array, states_of, validate_tracks, with_trials
 
 __all__ = ["Subject", "same_tracks", "subject_of"]
@@ -201,8 +200,3 @@ def _smoothed_causally(tracks: xr.Dataset, training: xr.Dataset | None) -> xr.Da
 def _positions(tracks: xr.Dataset) -> Array:
     """Return positions ``(trial, time, individual, space)``."""
     return states_of(tracks)[..., : tracks.sizes["space"]]
-
-
-def segments_in_words(segments: Sequence[Segment]) -> str:
-    """Return segments as a phrase for a table."""
-    return ", ".join(f"{s.trial} [{s.start}:{s.stop}]" for s in segments)

@@ -58,8 +58,6 @@ class Prepared:
         With trials, velocities and adjacency.
     states
         ``(trial, time, individual, state)`` in the tracks' own units, NaN where unknown.
-    scaled
-        The same, scaled; 0 where unknown.
     known
         ``(trial, time, individual)`` of bool: position and velocity are known.
     observations, mask, adjacency
@@ -69,7 +67,6 @@ class Prepared:
 
     tracks: xr.Dataset
     states: Array
-    scaled: torch.Tensor
     known: torch.Tensor
     observations: torch.Tensor
     mask: torch.Tensor
@@ -167,7 +164,6 @@ def prepare(tracks: xr.Dataset, preparation: Preparation) -> Prepared:
     return Prepared(
         tracks,
         states,
-        torch.from_numpy(np.where(known[..., None], scaled, 0.0)).to(torch.float32),
         torch.from_numpy(known),
         torch.from_numpy(observed).to(torch.float32),
         mask,

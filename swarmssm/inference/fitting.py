@@ -125,13 +125,14 @@ def fit(
         torch.manual_seed(wanted.seed)
         wanted, own_model, own_guide = build_modules(wanted, scales, builders)
         run = _prepared_run(own_model, own_guide, wanted, training, scales, parts)
-        windows, validation = _windows(run, tracks)
+        prepared = prepare(training, run.preparation)
+        windows, validation = _windows(run, prepared, tracks)
         for module in (run.model, run.guide):
             module.to(device)
         data = TrainingData(
             windows.to(device),
             None if validation is None else validation.to(device),
-            _scores(run, training),
+            _scores(run, prepared),
         )
         is_collapsed = isinstance(run.guide, LinearizedGuide)
         with quiet_pyro():
@@ -226,12 +227,13 @@ def _prepared_run(
     return Run(model, guide, settings, scales, preparation, parts, pd.DataFrame())
 
 
-def _windows(run: Run, tracks: xr.Dataset) -> tuple[SwarmBatch, SwarmBatch | None]:
+def _windows(
+    run: Run, prepared: Prepared, tracks: xr.Dataset
+) -> tuple[SwarmBatch, SwarmBatch | None]:
     """Cut the training part and the validation part, if there is one, into windows."""
     model, window = run.model, run.settings.window
     assert window != "auto", "build_modules has asked the guide"
     share = not isinstance(model, StateSpaceModel) or model.emission is None
-    prepared = prepare(take(tracks, run.split.train), run.preparation)
     windows = _represented(windows_of(prepared, window, share_border=share), model)
     if not run.split.validation:
         return windows, None
@@ -282,10 +284,10 @@ def _sum_out(
     )
 
 
-def _scores(run: Run, training: xr.Dataset) -> Callable[[], dict[str, float]]:
+def _scores(run: Run, prepared: Prepared) -> Callable[[], dict[str, float]]:
     """Return what scores predictions while a model is trained, where that is quickly told."""
     if isinstance(run.model, OneStepModel) and isinstance(run.guide, OneStepGuide):
-        return _TrainingScores(prepare(training, run.preparation), run.model, run.guide)
+        return _TrainingScores(prepared, run.model, run.guide)
     return dict
 
 

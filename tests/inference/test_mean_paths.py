@@ -3,7 +3,8 @@
 import pytest
 import torch
 
-from swarmssm.inference.guides.chains import KinematicChain, Law, Sightings, Start
+from swarmssm.inference.guides.chains import Law, Sightings, Start
+from swarmssm.inference.guides.kinematic_chain import KinematicChain
 from swarmssm.inference.guides.mean_paths import mean_paths
 
 BATCH, TIMES, INDIVIDUALS = 2, 8, 5

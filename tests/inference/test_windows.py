@@ -26,7 +26,7 @@ def numbered(mask):
     # An edge says where it stands too, by a pattern of places modulo 2.
     adjacency = (places.unsqueeze(-1) + torch.arange(individuals)) % 2 == 0
     adjacency &= mask.unsqueeze(-1) & mask.unsqueeze(-2)
-    return Prepared(xr.Dataset(), np.empty(0), observations, mask, observations, mask, adjacency)
+    return Prepared(xr.Dataset(), np.empty(0), mask, observations, mask, adjacency)
 
 
 def steps_of(mask):

@@ -15,13 +15,13 @@ from swarmssm.graphs import EdgeList, Graph
 from swarmssm.inference.guides.base import PathGuide
 from swarmssm.inference.guides.chains import (
     Chain,
-    FullChain,
-    KinematicChain,
     Law,
     Sightings,
     Start,
 )
 from swarmssm.inference.guides.context import SwarmContext
+from swarmssm.inference.guides.full_chain import FullChain
+from swarmssm.inference.guides.kinematic_chain import KinematicChain
 from swarmssm.models import SwarmBatch
 from swarmssm.models.emissions import Emission
 from swarmssm.models.layers import multilayer_perceptron

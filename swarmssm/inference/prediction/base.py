@@ -157,18 +157,6 @@ class Predictor(ABC):
         """
         return None
 
-    def observe(self, states: torch.Tensor, beginning: Beginning) -> torch.Tensor:
-        """Draw what is seen of states, positions in front; states themselves, if seen exactly.
-
-        Parameters
-        ----------
-        states
-            ``(..., origin, step, individual, state)`` as :meth:`run` returns them.
-        beginning
-            That they came from.
-        """
-        return states
-
 
 @contextlib.contextmanager
 def seeded(seed: int | torch.Generator) -> Iterator[None]:

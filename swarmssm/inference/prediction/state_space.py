@@ -292,27 +292,6 @@ class StateSpacePredictor(Predictor):
             math.inf if degrees is None else float(degrees.min()),
         )
 
-    @torch.no_grad()
-    def observe(self, states: torch.Tensor, beginning: Beginning) -> torch.Tensor:
-        """Draw positions with tracking noise; see :meth:`Predictor.observe`."""
-        emission = self.model.emission
-        if emission is None or emission.observes not in ("positions", "states"):
-            return states
-        if beginning.parameters is None:
-            return self._observe(states, self._middle())
-        parts = zip(states, beginning.parameters, strict=True)
-        return torch.stack([self._observe(path, values) for path, values in parts])
-
-    def _observe(self, states: torch.Tensor, values: Values) -> torch.Tensor:
-        """Draw observations with given parameters."""
-        if self.model.emission is None:
-            return states
-        gone = states.isnan()
-        with self.model.fixed(values), pyro.validation_enabled(False):
-            seen = self.model.emission(states.masked_fill(gone, 0.0)).sample()
-        whole = torch.cat([seen, states[..., seen.shape[-1] :]], dim=-1)
-        return whole.masked_fill(gone, torch.nan)
-
     def _run(self, start: Beginning, values: Values, steps: int, sample: bool) -> Trajectory:
         """Run with given parameters."""
         gone = ~start.present.unsqueeze(-1)
