@@ -90,6 +90,25 @@ class Predictor(ABC):
         """
 
     @abstractmethod
+    def paths(
+        self, prepared: Prepared, draws: int
+    ) -> tuple[torch.Tensor, tuple[Mapping[str, torch.Tensor], ...]]:
+        """Draw physical states of every frame, each path with the parameters it goes with.
+
+        Parameters
+        ----------
+        prepared
+            Tracks as the model sees them.
+        draws
+            How many, at least 1.
+
+        Returns
+        -------
+        States ``(draw, trial, time, individual, state)``, scaled, NaN where they are not known;
+        and for each draw the parameters that have a prior, by full name.
+        """
+
+    @abstractmethod
     def one_step(self, prepared: Prepared, *, sample: bool) -> tuple[torch.Tensor, torch.Tensor]:
         """Predict from each frame, and those before it, the frame after.
 

@@ -1,6 +1,6 @@
 """Predictions of a one-step model: encode a frame, decode the next."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import pyro
@@ -66,6 +66,13 @@ class OneStepPredictor(Predictor):
             states = mean + sd * torch.randn(draws, *mean.shape)
             states = states.masked_fill(hidden, torch.nan)
         return mean.masked_fill(hidden, torch.nan), sd.masked_fill(hidden, torch.nan), states
+
+    def paths(
+        self, prepared: Prepared, draws: int
+    ) -> tuple[torch.Tensor, tuple[Mapping[str, torch.Tensor], ...]]:
+        """Return the observed states, which are taken as exact; see :meth:`Predictor.paths`."""
+        exact = prepared.observations.masked_fill(~prepared.mask.unsqueeze(-1), torch.nan)
+        return exact.expand(draws, *exact.shape), ({},) * draws
 
     def one_step(self, prepared: Prepared, *, sample: bool) -> tuple[torch.Tensor, torch.Tensor]:
         """Encode each frame and decode the next; see :meth:`Predictor.one_step`."""

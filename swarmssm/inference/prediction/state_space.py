@@ -76,6 +76,47 @@ class StateSpacePredictor(Predictor):
         whole = torch.cat(states, 2) if draws else None
         return torch.cat(means, 1), torch.cat(sds, 1), whole
 
+    @torch.no_grad()
+    def paths(self, prepared: Prepared, draws: int) -> tuple[torch.Tensor, tuple[Values, ...]]:
+        """Draw parameters, and whole trials with them; see :meth:`Predictor.paths`.
+
+        All pieces of a long trial are drawn with the same parameters; states of different pieces
+        are independent given these.
+        """
+        if self.model.emission is None:
+            exact = prepared.observations.masked_fill(~prepared.mask.unsqueeze(-1), torch.nan)
+            return exact.expand(draws, *exact.shape), self._draw_parameters(draws) or ({},) * draws
+        pieces = []
+        with pyro.validation_enabled(False):
+            values = self._draw_values(prepared, draws)
+            for batch, kept in self._pieces(prepared):
+                drawn = self._paths_given(batch, values)
+                drawn = drawn.masked_fill(~batch.present.unsqueeze(-1), torch.nan)
+                pieces.append(drawn[:, :, kept])
+        return torch.cat(pieces, 2), values
+
+    def _draw_values(self, prepared: Prepared, draws: int) -> tuple[Values, ...]:
+        """Draw the parameters, by a guide that may know them only along with paths."""
+        if not priors_of(self.model):
+            return ({},) * draws
+        if isinstance(self.guide, PathGuide):
+            return tuple(self.guide.parameters_guide() for _ in range(draws))
+        batch, _ = next(self._pieces(prepared))
+        return tuple(self._trace(batch)[1] for _ in range(draws))
+
+    def _paths_given(self, batch: SwarmBatch, values: tuple[Values, ...]) -> torch.Tensor:
+        """Draw a path of each window with each of given parameters."""
+        guide = self.guide
+        if isinstance(guide, PathGuide):
+            if not priors_of(self.model):
+                return self._draw(batch, len(values))
+            return torch.stack([guide.path(batch, value)[0] for value in values])
+        paths = []
+        for value in values:
+            held = pyro.poutine.condition(guide, data=dict(value))
+            paths.append(pyro.poutine.trace(held).get_trace(batch).nodes["states"]["value"])
+        return torch.stack(paths)
+
     def _pieces(self, prepared: Prepared) -> Iterator[tuple[SwarmBatch, slice]]:
         """Yield overlapping windows over whole trials, and which of their frames to keep."""
         trials = torch.arange(len(prepared.mask))
