@@ -98,12 +98,42 @@ class InteractionNetwork(nn.Module):
         pairs
             The graph.
         """
+        together, hidden = self._gather(own, pair, pairs)
+        gate, candidate, straight = self._last(together)
+        hidden = torch.lerp(hidden, torch.relu(candidate), torch.sigmoid(gate))
+        result: torch.Tensor = self.leave(hidden) + straight
+        return result
+
+    def messages(self, own: torch.Tensor, pair: torch.Tensor, pairs: Pairs) -> torch.Tensor:
+        r"""Return :math:`\sum_j m_{ij}` of the last round, divided by ``usual_degree``.
+
+        What each individual hears of its neighbours, as it stands in the last :math:`u_i`.
+
+        Parameters
+        ----------
+        own, pair, pairs
+            As in :meth:`forward`.
+
+        Returns
+        -------
+        ``(..., individual, width)``, none of them negative.
+        """
+        together, _ = self._gather(own, pair, pairs)
+        width = self.enter.out_features
+        # In front of them stands what does not come through a message, and the hidden state.
+        return together[..., -2 * width : -width]
+
+    def _gather(
+        self, own: torch.Tensor, pair: torch.Tensor, pairs: Pairs
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the last round's [u, h] and the h it is made of."""
         degree = pairs.degree(own)
         share = 1.0 / degree.clamp(min=1.0)
         features = pairs.sum(pair[..., : self.linear_features])
         scale = 1.0 / self.usual_degree
         plain = torch.cat([own, features * scale, features * share, degree * scale], dim=-1)
         hidden = torch.relu(self.enter(own))
+        together = plain
         for place, (message, update) in enumerate(zip(self.pair, self.update, strict=True)):
             sent = message(pair)
             if place > 0:
@@ -114,11 +144,8 @@ class InteractionNetwork(nn.Module):
             together = torch.cat([plain, hidden, summed * scale, summed * share], dim=-1)
             if place + 1 < len(self.update):
                 gate, candidate = update(together).chunk(2, dim=-1)
-            else:
-                gate, candidate, straight = self._last(together)
-            hidden = torch.lerp(hidden, torch.relu(candidate), torch.sigmoid(gate))
-        result: torch.Tensor = self.leave(hidden) + straight
-        return result
+                hidden = torch.lerp(hidden, torch.relu(candidate), torch.sigmoid(gate))
+        return together, hidden
 
     def _last(self, together: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Return gate and candidate of the last round, and what is linear: one product of all."""

@@ -13,6 +13,7 @@ from torch import Tensor
 from swarmssm import forces
 from swarmssm.errors import InputError
 from swarmssm.graphs import GraphRule
+from swarmssm.simulate.attention import Attention, attention_given, heeded
 from swarmssm.simulate.directions import random_directions, unit
 from swarmssm.simulate.recording import check_choice, check_number, check_space, record
 
@@ -74,6 +75,7 @@ class Boids:
     preferred_speed: float
     noise: str
     process_noise: float
+    attention: Attention | None = None
 
     name: ClassVar[str] = "boids"
     remedy: ClassVar[str] = "Try a smaller dt, smaller gains, or a max_speed."
@@ -138,10 +140,14 @@ class Boids:
         """Return gain-weighted terms ``(..., term, individual, space)`` and the graph."""
         graph = self.graph(positions, velocities)
         relative = self.form == "acceleration"
+        seen: tuple[Tensor, Tensor | float] = (graph, 1.0)
+        if self.attention is not None:
+            seen = heeded(graph, self.attention)
+        edges, share = seen
         values = {
-            "cohesion": lambda: forces.cohesion(positions, graph),
-            "separation": lambda: forces.separation(positions, graph, self.exponent),
-            "alignment": lambda: forces.alignment(velocities, graph, relative=relative),
+            "cohesion": lambda: share * forces.cohesion(positions, edges),
+            "separation": lambda: forces.separation(positions, edges, self.exponent),
+            "alignment": lambda: share * forces.alignment(velocities, edges, relative=relative),
             "wall": lambda: forces.wall(positions, self.half_width),
             "speed_regulation": lambda: forces.speed_regulation(velocities, self.preferred_speed),
         }
@@ -181,11 +187,14 @@ class Boids:
     def from_dict(cls, values: Mapping[str, Any]) -> "Boids":
         """Return the law that :meth:`to_dict` described."""
         limit = values["max_speed"]
+        # Recordings of older versions say nothing of it.
+        attention = values.get("attention")
         return cls(
             **{
                 **values,
                 "graph": GraphRule.from_dict(values["graph"]),
                 "max_speed": math.inf if limit is None else limit,
+                "attention": None if attention is None else attention_given(attention),
             }
         )
 
@@ -219,6 +228,7 @@ def simulate_boids(
     preferred_speed: float = 1.0,
     noise: str | None = None,
     process_noise: float | None = None,
+    attention: npt.ArrayLike | None = None,
     observation_noise: float = 0.0,
     seed: int | torch.Generator = 0,
     burn_in: int = 0,
@@ -271,6 +281,13 @@ def simulate_boids(
         ``"additive"``: standard deviation ``process_noise * sqrt(dt)`` of each coordinate of v'.
         ``"multiplicative"``: ``process_noise * |v|``. The default is multiplicative with 0.02,
         and for velocities additive with 0.3.
+    attention
+        How much an individual heeds each neighbor, ``(individual, neighbor)`` of weights
+        :math:`w_{ij}` from 0 upwards; all 1 if absent. The weight multiplies what j adds to the
+        sum in S and, after the division by the number of neighbors, to the means in C and A:
+        :math:`C_i = \sum_j w_{ij} (p_j - p_i) / |\mathcal{N}_i|`. One with weight 0 is in sight and
+        counted among the neighbors, and moves i in no way.
+        :func:`~swarmssm.simulate.attention.planted_attention` makes a leader or a loner.
     observation_noise
         Standard deviation of what is added to each coordinate of the recorded positions.
     seed
@@ -292,7 +309,7 @@ def simulate_boids(
         velocities in the velocity form. Terms are ``cohesion``, ``separation``, ``alignment`` and,
         where their gain is not 0, ``wall`` and ``speed_regulation``.
     ``adjacency``
-        Who saw whom in that step.
+        Who saw whom in that step, heeded or not.
     ``next_position``, ``next_velocity``
         The next state free of noise (speed limits applied), given the true state of this frame.
         What a recording differs from it by is the noise floor of every one-step score.
@@ -337,6 +354,7 @@ def simulate_boids(
         exponent=exponent,
         half_width=half_width,
         preferred_speed=preferred_speed,
+        attention=None if attention is None else attention_given(attention, individuals),
         **{**DEFAULTS[form], **chosen},
     )
     return record(

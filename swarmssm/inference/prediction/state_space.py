@@ -77,6 +77,26 @@ class StateSpacePredictor(Predictor):
         return torch.cat(means, 1), torch.cat(sds, 1), whole
 
     @torch.no_grad()
+    def mean_states(self, prepared: Prepared) -> torch.Tensor:
+        """Return the mean of whole paths, given all frames, in the middle of the parameters.
+
+        Returns
+        -------
+        ``(trial, time, individual, state)``, scaled; NaN where nobody is. States that are observed
+        exactly are what was observed, and a guide that can only draw is asked for the mean of its
+        draws.
+        """
+        if self.model.emission is None or not isinstance(self.guide, PathGuide):
+            return self.posterior(prepared, 0)[0]
+        pieces, values = [], self._middle()
+        with pyro.validation_enabled(False):
+            for batch, kept in self._pieces(prepared):
+                mean = self.guide.mean_path(batch, values)
+                mean = mean.masked_fill(~batch.present.unsqueeze(-1), torch.nan)
+                pieces.append(mean[:, kept])
+        return torch.cat(pieces, 1)
+
+    @torch.no_grad()
     def paths(self, prepared: Prepared, draws: int) -> tuple[torch.Tensor, tuple[Values, ...]]:
         """Draw parameters, and whole trials with them; see :meth:`Predictor.paths`.
 

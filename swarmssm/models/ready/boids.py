@@ -15,8 +15,9 @@ from swarmssm.models.parameters import assign
 from swarmssm.models.priors import parameters_of, with_priors
 from swarmssm.models.scales import Scales
 from swarmssm.models.state_space import StateSpaceModel
-from swarmssm.models.transitions.boids import BoidsTransition, Form, Noise
+from swarmssm.models.transitions.boids import BoidsTransition
 from swarmssm.models.transitions.hierarchy import Hierarchical
+from swarmssm.models.transitions.social import Form, Noise
 
 __all__ = ["boids"]
 

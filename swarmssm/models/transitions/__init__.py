@@ -4,18 +4,26 @@ from swarmssm.models.transitions.base import KinematicTransition, Linearization,
 from swarmssm.models.transitions.boids import BoidsTransition
 from swarmssm.models.transitions.graph import GraphTransition
 from swarmssm.models.transitions.hierarchy import Hierarchical
+from swarmssm.models.transitions.kernel import KernelTransition
 from swarmssm.models.transitions.linear import LinearTransition
 from swarmssm.models.transitions.linear_force import LinearForceTransition
+from swarmssm.models.transitions.radial_basis import PowerBasis, RadialBasis, SplineBasis
+from swarmssm.models.transitions.social import ForceTransition
 from swarmssm.models.transitions.soft_limits import SoftSpeedLimits
 
 __all__ = [
     "BoidsTransition",
+    "ForceTransition",
     "GraphTransition",
     "Hierarchical",
+    "KernelTransition",
     "KinematicTransition",
     "LinearForceTransition",
     "LinearTransition",
     "Linearization",
+    "PowerBasis",
+    "RadialBasis",
     "SoftSpeedLimits",
+    "SplineBasis",
     "Transition",
 ]

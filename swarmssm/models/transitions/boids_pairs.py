@@ -6,27 +6,9 @@ import torch
 from torch import Tensor
 
 from swarmssm.models.transitions.perception import any_in_sight, sight
+from swarmssm.models.transitions.social import SocialForce
 
-__all__ = ["PairLaw", "SocialForce", "WallPush", "wall_push"]
-
-
-class SocialForce(NamedTuple):
-    """The sum of the three social terms, and how it changes with what a pair differs by.
-
-    Attributes
-    ----------
-    force
-        ``(..., individual, space)``.
-    pairs
-        ``(..., individual, space, individual, state)``: ``[i, a, j, b]`` is the derivative of the
-        force's coordinate a on i by feature b of ``state_j - state_i``.
-    own
-        ``(..., individual)``: derivative by one's own velocity beside that, the same on each axis.
-    """
-
-    force: Tensor
-    pairs: Tensor
-    own: Tensor
+__all__ = ["PairLaw"]
 
 
 class PairLaw(NamedTuple):
@@ -123,43 +105,11 @@ class PairLaw(NamedTuple):
         by_velocity = (ka * pull)[..., None, :, None] * eye
         if by_position.shape != by_velocity.shape:
             by_position, by_velocity = torch.broadcast_tensors(by_position, by_velocity)  # type: ignore[no-untyped-call]
-        own = torch.zeros_like(some) if self.relative else ka * some
-        return SocialForce(force, torch.cat([by_position, by_velocity], -1), own.squeeze(-1))
+        own = None if self.relative else (ka * some).unsqueeze(-1) * eye.squeeze(1)
+        return SocialForce(force, torch.cat([by_position, by_velocity], -1), own)
 
 
 def _velocity_part(states: Tensor) -> Tensor:
     """Return the states with positions of 0."""
     space = states.shape[-1] // 2
     return torch.cat([torch.zeros_like(states[..., :space]), states[..., space:]], -1)
-
-
-class WallPush(NamedTuple):
-    """Push of a wall and its derivative on each axis, ``(..., individual, space)``."""
-
-    mean: Tensor
-    slope: Tensor
-
-
-def wall_push(offset: Tensor, half_width: Tensor, variance: Tensor | None) -> WallPush:
-    """Return the push of :func:`swarmssm.forces.wall`, or its expectation, and the derivative.
-
-    Parameters
-    ----------
-    offset
-        Positions from the middle of the box, ``(..., individual, space)``.
-    half_width
-        Broadcasts against it.
-    variance
-        Of the positions, ``(..., individual, space)``. ``None``: they are known.
-    """
-    over, under = offset - half_width, -offset - half_width
-    if variance is None:
-        slope = -((over > 0) | (under > 0)).to(offset.dtype)
-        return WallPush(under.clamp(min=0.0) - over.clamp(min=0.0), slope)
-    # Of a normal x with deviation s: E max(x, 0) = x Phi(x / s) + s phi(x / s).
-    deviation = (variance + (1e-6 * half_width).square()).sqrt()
-    over, under = over / deviation, under / deviation
-    right, left = torch.special.ndtr(over), torch.special.ndtr(under)
-    density = torch.exp(-0.5 * under**2) - torch.exp(-0.5 * over**2)
-    push = under * left - over * right + density * 0.3989422804014327
-    return WallPush(deviation * push, -(left + right))

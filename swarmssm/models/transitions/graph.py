@@ -204,6 +204,36 @@ class GraphTransition(KinematicTransition):
             return DiagonalStudentT(self.degrees, mean, scale)
         return dist.Normal(mean, scale).to_event(1)
 
+    @property
+    def feature_names(self) -> tuple[str, ...]:
+        """Names of what :meth:`features` returns, ``"message 1"`` and so on."""
+        width = self.network.enter.out_features
+        return tuple(f"message {place}" for place in range(1, width + 1))
+
+    def features(self, states: torch.Tensor, inputs: StepInputs) -> torch.Tensor:
+        """Return what the network makes of the neighbours of each individual.
+
+        The messages to it, summed, in the last round
+        (:meth:`swarmssm.models.interaction_network.InteractionNetwork.messages`): together with
+        its own state and sums that need no learning they determine its next velocity.
+
+        Parameters
+        ----------
+        states
+            ``(..., individual, state)``.
+        inputs
+            As in :meth:`forward`.
+
+        Returns
+        -------
+        ``(..., individual, width)``.
+        """
+        velocities = states[..., self.space :]
+        pairs = Pairs(_shorter(_graph(inputs), velocities), velocities)
+        own = self._own(states[..., : self.space], velocities, inputs.controls)
+        pair = self._pair(pairs.receivers(states), pairs.senders(states))
+        return self.network.messages(own, pair, pairs)
+
     def linearize(
         self,
         mean: torch.Tensor,

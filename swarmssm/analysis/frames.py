@@ -1,0 +1,130 @@
+"""Walk through the frames of posterior paths: in portions, with the graph that the model sees."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+import xarray as xr
+
+from swarmssm.analysis.motion import PosteriorPaths
+from swarmssm.errors import InputError
+from swarmssm.graphs import dense
+from swarmssm.inference import Fit
+from swarmssm.models import StateSpaceModel, StepInputs
+from swarmssm.models.transitions.perception import sight
+
+__all__ = ["QUANTILES", "Frames", "frames_of", "labels_of", "seen_graph", "unit_of"]
+
+#: Ends and middle of the intervals that every analysis gives.
+QUANTILES = (0.05, 0.5, 0.95)
+#: Pairs of individuals that are worked on at once.
+PAIRS_AT_ONCE = 2**20
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Some frames of one draw, those of all trials in one row.
+
+    Attributes
+    ----------
+    rows
+        Which of ``trial * time`` frames.
+    states
+        ``(frame, individual, state)``, in the tracks' own units.
+    adjacency
+        ``(frame, individual, individual)``, as observed.
+    present
+        ``(frame, individual)`` of bool.
+    values
+        The draw's parameters that have a prior, by full name.
+    """
+
+    rows: slice
+    states: torch.Tensor
+    adjacency: torch.Tensor
+    present: torch.Tensor
+    values: Any
+
+    @property
+    def positions(self) -> torch.Tensor:
+        """``(frame, individual, space)``."""
+        return self.states[..., : self.states.shape[-1] // 2]
+
+    @property
+    def velocities(self) -> torch.Tensor:
+        """``(frame, individual, space)``."""
+        return self.states[..., self.states.shape[-1] // 2 :]
+
+
+def frames_of(paths: PosteriorPaths, draw: int) -> Iterator[Frames]:
+    """Yield all frames of a draw, so few at a time that pairs of individuals fit into memory."""
+    individuals = paths.states.shape[-2]
+    states = paths.states[draw].flatten(0, 1)
+    adjacency, present = paths.adjacency.flatten(0, 1), paths.present.flatten(0, 1)
+    step = max(1, PAIRS_AT_ONCE // individuals**2)
+    for first in range(0, len(states), step):
+        rows = slice(first, min(first + step, len(states)))
+        yield Frames(rows, states[rows], adjacency[rows], present[rows], paths.parameters[draw])
+
+
+def seen_graph(fit: Fit, frames: Frames) -> torch.Tensor:
+    """Return with what weight i sees j, in the model's own graph and view.
+
+    Parameters
+    ----------
+    fit
+        A fit.
+    frames
+        Frames of a draw.
+
+    Returns
+    -------
+    ``(frame, individual, individual)``; 0 for who is absent, and on the diagonal.
+    """
+    graph = frames.adjacency
+    model = fit.model
+    if isinstance(model, StateSpaceModel):
+        scaler = fit.preparation.scaler
+        scaled = scaler.transform_tensor(frames.states)
+        scaled = scaled.masked_fill(~frames.present.unsqueeze(-1), 0.0)
+        with model.fixed(frames.values):
+            inputs = model.edges.complete(scaled, StepInputs(graph, None, frames.present))
+            if inputs.adjacency is None:
+                return torch.zeros_like(graph)
+            graph = dense(inputs.adjacency, scaled.dtype).to(scaled.dtype)
+            transition = model.transition
+            if getattr(transition, "has_radius", False):
+                place = scaled[..., : scaled.shape[-1] // 2]
+                distance = torch.cdist(place, place)
+                sharp = getattr(transition, "is_sharp", True)
+                width = None if sharp else transition.radius_width.unsqueeze(-1)
+                graph = graph * sight(distance, transition.radius.unsqueeze(-1), width)[0]
+    there = frames.present.unsqueeze(-1) & frames.present.unsqueeze(-2)
+    itself = torch.eye(graph.shape[-1], dtype=torch.bool)
+    return graph.masked_fill(~there | itself, 0.0)
+
+
+def labels_of(tracks: xr.Dataset, *dims: str) -> dict[str, Any]:
+    """Return the coordinates of tracks along the given dimensions."""
+    return {dim: tracks[dim].to_numpy() for dim in dims if dim in tracks.coords}
+
+
+def unit_of(tracks: xr.Dataset, per: str = "") -> str:
+    """Return the unit of length of tracks, with what stands behind it such as ``/s^2``."""
+    return f"{tracks.attrs.get('unit') or 'length'}{per}"
+
+
+def check_plane(tracks: xr.Dataset, what: str) -> None:
+    """Refuse tracks in three dimensions.
+
+    Raises
+    ------
+    InputError
+        If they have other than two.
+    """
+    if tracks.sizes["space"] != 2:
+        raise InputError(
+            f"tracks: {what} is made for two dimensions, and these have {tracks.sizes['space']}. "
+            "Give two of the coordinates."
+        )
