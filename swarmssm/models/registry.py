@@ -12,7 +12,7 @@ from typing import Any
 from swarmssm.errors import InputError
 from swarmssm.models.base import SwarmModel
 from swarmssm.models.graph_vae import GraphVAE
-from swarmssm.models.ready import boids, graph_ssm, linear
+from swarmssm.models.ready import boids, graph_ssm, kernel, linear
 
 __all__ = ["MODELS", "find_model", "find_part"]
 
@@ -20,6 +20,7 @@ MODELS: dict[str, Callable[..., SwarmModel]] = {
     "boids": boids,
     "graph-ssm": graph_ssm,
     "graph-vae": GraphVAE,
+    "kernel": kernel,
     "linear": linear,
 }
 

@@ -42,6 +42,8 @@ class Scales:
         Root mean square of what a coordinate of the velocity changes by in one frame.
     noise
         Estimated standard deviation of the tracking noise of a coordinate; 0 if it cannot be told.
+    apart
+        Ninety-eighth percentile of the distance between two individuals; 0 if nobody measured it.
     """
 
     space: int
@@ -57,6 +59,7 @@ class Scales:
     spacing: float
     step: float
     noise: float
+    apart: float = 0.0
 
     @property
     def state_dim(self) -> int:
@@ -109,6 +112,7 @@ def scales_of(tracks: xr.Dataset) -> Scales:
     change = np.diff(velocity, axis=1)
     step = float(np.sqrt(np.nanmean(change**2))) if np.isfinite(change).any() else 0.0
     length = float(np.sqrt(np.nanmean((rows - centre) ** 2)))
+    spacing, apart = _distances(position, length)
     return Scales(
         space=space,
         individuals=int(tracks.sizes["individual"]),
@@ -120,9 +124,10 @@ def scales_of(tracks: xr.Dataset) -> Scales:
         speed=float(np.sqrt(np.nanmean(speeds**2))),
         slow=float(slow),
         fast=float(fast),
-        spacing=_spacing(position, length),
+        spacing=spacing,
         step=step,
         noise=_noise(position, float(tracks.attrs["fps"])),
+        apart=apart,
     )
 
 
@@ -134,15 +139,23 @@ def _noise(position: Array, fps: float) -> float:
     return noise if noise > LEAST_NOISE * moved else 0.0
 
 
-def _spacing(position: Array, length: float) -> float:
-    """Return the median distance to the nearest neighbour, over at most 200 frames."""
+def _distances(position: Array, length: float) -> tuple[float, float]:
+    """Return the median distance to the nearest neighbour and the 98th percentile of all.
+
+    Over at most 200 frames.
+    """
     frames = position.reshape(-1, *position.shape[-2:])
     frames = frames[np.linspace(0, len(frames) - 1, min(200, len(frames))).astype(int)]
-    nearest = []
+    nearest, every = [], []
     for frame in frames:
         seen = frame[np.isfinite(frame).all(-1)]
         if len(seen) > 1:
             apart = np.linalg.norm(seen[:, None] - seen[None], axis=-1)
+            every.append(apart[np.triu_indices(len(seen), 1)])
             np.fill_diagonal(apart, np.inf)
             nearest.append(apart.min(-1))
-    return float(np.median(np.concatenate(nearest))) if nearest else length
+    if not nearest:
+        return length, 2.0 * length
+    return float(np.median(np.concatenate(nearest))), float(
+        np.percentile(np.concatenate(every), 98)
+    )

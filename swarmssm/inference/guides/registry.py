@@ -20,7 +20,7 @@ GUIDES: dict[str, Any] = {
     "smoothing": SmoothingGuide,
 }
 #: Models whose few parameters are best fitted with the latent states summed out.
-COLLAPSIBLE = ("boids", "linear")
+COLLAPSIBLE = ("boids", "kernel", "linear")
 
 
 def find_guide(name: str) -> Any:

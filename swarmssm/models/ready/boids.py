@@ -1,18 +1,22 @@
 """Boids with unknown gains, seen with noise: ``swarmssm fit FILE --model boids``."""
 
-import math
 from collections.abc import Mapping
 from typing import Any, Literal, get_args
 
 import pyro.distributions as dist
 import torch
 
-from swarmssm.errors import InputError
-from swarmssm.models.edges import LatentEdges, ObservedEdges
-from swarmssm.models.emissions import PositionEmission
-from swarmssm.models.initial import InitialStates
-from swarmssm.models.parameters import assign
-from swarmssm.models.priors import parameters_of, with_priors
+from swarmssm.models.ready.own import (
+    WIDE,
+    Observed,
+    check_choice,
+    lognormal,
+    own_priors,
+    positive,
+    seen_model,
+    true_speed,
+    view_priors,
+)
 from swarmssm.models.scales import Scales
 from swarmssm.models.state_space import StateSpaceModel
 from swarmssm.models.transitions.boids import BoidsTransition
@@ -22,10 +26,6 @@ from swarmssm.models.transitions.social import Form, Noise
 __all__ = ["boids"]
 
 Gains = Literal["global", "individual", "hierarchical"]
-#: Standard deviation of the logarithm of what only the order of magnitude is known of.
-WIDE = 1.5
-#: Share of its speed by which an individual is thought to be changed by noise in a length's time.
-WANDER = 0.3
 
 
 def boids(
@@ -39,7 +39,7 @@ def boids(
     relaxation: bool = False,
     radius: float | Literal["infer"] | None = None,
     edges: str | None = None,
-    observed: Literal["positions", "states"] = "positions",
+    observed: Observed = "positions",
     priors: Mapping[str, Any] | None = None,
 ) -> StateSpaceModel:
     r"""Return the boids law with weakly informative priors in the units of the tracks.
@@ -111,111 +111,49 @@ def boids(
     InputError
         If an option is none of the above, or there is no parameter of that name.
     """
-    for name, value, allowed in (
-        ("gains", gains, get_args(Gains)),
-        ("observed", observed, ("positions", "states")),
-    ):
-        if value not in allowed:
-            raise InputError(f"{name}: it must be one of {', '.join(allowed)}, not {value!r}.")
-    if isinstance(radius, str) and radius != "infer":
-        raise InputError(f"radius: it must be a number or 'infer', not {radius!r}.")
+    check_choice("gains", gains, get_args(Gains))
+    check_choice("observed", observed, get_args(Observed))
+    view = view_priors(scales, radius)
     if noise is None:
         noise = "multiplicative" if form == "acceleration" else "additive"
-    infer_radius = radius == "infer"
-    length, speed = _positive(scales.length), _speed(scales)
-    spacing = _positive(scales.spacing)
+    length, speed = positive(scales.length), true_speed(scales)
     rate = speed / length
     # What a force is, a change of velocity in unit time or the velocity itself.
     per = rate if form == "acceleration" else 1.0
 
     def social(median: float, spread: float = WIDE) -> Any:
         if gains == "global":
-            return _lognormal(median, spread)
+            return lognormal(median, spread)
         if gains == "individual":
-            own = _lognormal(median, spread).expand(torch.Size([scales.individuals]))
+            own = lognormal(median, spread).expand(torch.Size([scales.individuals]))
             return own.to_event(1)
         population = dist.HalfNormal(torch.tensor(0.5))
-        return Hierarchical(_lognormal(median, spread), population, scales.individuals)
+        return Hierarchical(lognormal(median, spread), population, scales.individuals)
 
-    options: dict[str, Any] = {
-        "cohesion_gain": social(per * rate),
-        "separation_gain": social(per * speed * length if form == "velocity" else speed**2),
-        "alignment_gain": social(per) if form == "acceleration" else social(1.0, 0.5),
-        "process_noise": _lognormal(_wander(noise, speed, rate, scales.dt), WIDE),
-    }
-    if walls:
-        low, high = torch.tensor(scales.low), torch.tensor(scales.high)
-        extent = (high - low).clamp(min=1e-6 * length)
-        options["wall_gain"] = _lognormal(per * rate, WIDE)
-        options["half_width"] = dist.LogNormal((0.425 * extent).log(), 0.25).to_event(1)
-        options["center"] = dist.Normal(0.5 * (low + high), 0.1 * extent).to_event(1)
-    if relaxation:
-        options["relaxation_gain"] = _lognormal(per, WIDE)
-        options["preferred_speed"] = _lognormal(speed, 0.5)
-    if limits and observed == "positions":
-        options["min_speed"] = _lognormal(0.5 * speed, 1.0)
-        options["max_speed"] = _lognormal(1.5 * speed, 0.5)
-    elif limits:
-        options["min_speed"] = scales.slow
-        options["max_speed"] = _positive(scales.fast)
-    if radius is not None:
-        options["radius"] = _lognormal(3.0 * spacing, 0.5) if infer_radius else radius
-        options["radius_width"] = 0.25 * spacing if infer_radius else 0.0
-    transition = BoidsTransition(scales.space, scales.dt, form=form, noise=noise, **options)
-
-    emission = None
-    if observed == "positions":
-        seen = scales.noise > 0
-        deviation = scales.noise if seen else 0.1 * speed * scales.dt
-        emission = PositionEmission(scales.space, _lognormal(deviation, 0.5 if seen else WIDE))
-    rule = ("complete" if infer_radius else "observed") if edges is None else edges
-    model = StateSpaceModel(
-        InitialStates.for_scales(scales),
-        transition,
-        emission,
-        ObservedEdges() if rule == "observed" else LatentEdges(rule),
+    transition = BoidsTransition(
+        scales.space,
+        scales.dt,
+        form=form,
+        noise=noise,
+        cohesion_gain=social(per * rate),
+        separation_gain=social(per * speed * length if form == "velocity" else speed**2),
+        alignment_gain=social(per) if form == "acceleration" else social(1.0, 0.5),
+        **view,
+        **own_priors(
+            scales,
+            form=form,
+            noise=noise,
+            walls=walls,
+            limits=limits,
+            relaxation=relaxation,
+            observed=observed,
+        ),
     )
-    _replace_priors(model, priors or {})
-    return model
-
-
-def _replace_priors(model: StateSpaceModel, priors: Mapping[str, Any]) -> None:
-    """Give parameters other priors, or fixed values."""
-    known = parameters_of(model)
-    others = {}
-    for name, value in priors.items():
-        if not isinstance(value, int | float | list | torch.Tensor):
-            others[name] = value
-            continue
-        found = [full for full in known if full == name or full.endswith(f".{name}")]
-        if len(found) != 1:
-            listed = ", ".join(found or known)
-            raise InputError(
-                f"priors: {name} is the name of {'no' if not found else 'more than one'} "
-                f"parameter. {'Choose' if found else 'Those there are'}: {listed}."
-            )
-        assign(*known[found[0]], value)
-    if others:
-        with_priors(model, others)
-
-
-def _speed(scales: Scales) -> float:
-    """Return the root mean square of speed without what tracking noise adds to it."""
-    added = 2.0 * scales.space * (scales.noise / scales.dt) ** 2
-    return _positive(math.sqrt(max(scales.speed**2 - added, (0.1 * scales.speed) ** 2)))
-
-
-def _wander(noise: Noise, speed: float, rate: float, dt: float) -> float:
-    """Return the process noise that changes the velocity by a share of it within L/U."""
-    if noise == "multiplicative":
-        return WANDER * math.sqrt(dt * rate)
-    return WANDER * speed * math.sqrt(rate)
-
-
-def _positive(value: float) -> float:
-    """Return a scale that may be used as one, where tracks stand still."""
-    return max(value, 1e-6)
-
-
-def _lognormal(median: float, spread: float) -> dist.LogNormal:
-    return dist.LogNormal(torch.tensor(math.log(median)), torch.tensor(spread))
+    return seen_model(
+        scales,
+        transition,
+        observed=observed,
+        edges=edges,
+        infer_radius=radius == "infer",
+        priors=priors,
+    )
