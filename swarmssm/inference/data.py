@@ -100,22 +100,36 @@ def preparation_for(
     InputError
         If the graph of the tracks is asked for and they have none, or nothing can be scaled.
     """
-    has_graph = "adjacency" in tracks
-    if graph == "data" and not has_graph:
+    tracks = _with_velocity(tracks, velocity)
+    own_graph = graph in ("auto", "data") and "adjacency" in tracks
+    rule = rule_of(tracks) if own_graph else rule_for(tracks, graph)
+    fitted = fit_scaler(states_of(tracks), scaler)
+    return Preparation(fitted, velocity, rule, own_graph, observes), tracks
+
+
+def rule_for(tracks: xr.Dataset, graph: str) -> GraphRule | None:
+    """Return the rule that makes the graph of tracks; ``None`` if they carry the one to take.
+
+    Parameters
+    ----------
+    tracks
+        The training part.
+    graph
+        See :class:`swarmssm.inference.settings.FitSettings`.
+
+    Raises
+    ------
+    InputError
+        If the graph of the tracks is asked for and they have none, or there is no such rule.
+    """
+    if graph in ("auto", "data") and "adjacency" in tracks:
+        return None
+    if graph == "data":
         raise InputError(
             "graph: the tracks carry no adjacency. Name a rule, for instance radius:2.5, "
             "k-nearest:6 or visual."
         )
-    tracks = _with_velocity(tracks, velocity)
-    own_graph = graph in ("auto", "data") and has_graph
-    if own_graph:
-        rule = rule_of(tracks)
-    elif graph == "auto":
-        rule = default_rule(tracks)
-    else:
-        rule = GraphRule.parse(graph).fitted_to(tracks)
-    fitted = fit_scaler(states_of(tracks), scaler)
-    return Preparation(fitted, velocity, rule, own_graph, observes), tracks
+    return default_rule(tracks) if graph == "auto" else GraphRule.parse(graph).fitted_to(tracks)
 
 
 def prepare(tracks: xr.Dataset, preparation: Preparation) -> Prepared:

@@ -19,7 +19,7 @@ from swarmssm.graphs.representation import represent
 from swarmssm.inference.agreement import check_agreement
 from swarmssm.inference.checkpoints import Checkpoint, read_checkpoint
 from swarmssm.inference.collapsed_fit import fit_collapsed
-from swarmssm.inference.data import Prepared, preparation_for, prepare, windows_of
+from swarmssm.inference.data import Prepared, preparation_for, prepare, rule_for, windows_of
 from swarmssm.inference.fitted import Fit
 from swarmssm.inference.guides import LinearizedGuide, OneStepGuide, SwarmGuide
 from swarmssm.inference.run_folder import (
@@ -120,7 +120,7 @@ def fit(
         folder = real_folder(folder)
     parts = split(tracks, wanted.split_by, wanted.fractions, wanted.gap)
     training = take(tracks, parts.train)
-    scales = scales_of(training)
+    scales = scales_of(training, rule_for(training, wanted.graph))
     with torch.random.fork_rng():
         torch.manual_seed(wanted.seed)
         wanted, own_model, own_guide = build_modules(wanted, scales, builders)

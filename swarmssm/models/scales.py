@@ -4,9 +4,12 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+import torch
 import xarray as xr
 
 from swarmssm.errors import InputError
+from swarmssm.graphs import GraphRule
 from swarmssm.kinematics import estimate_noise
 from swarmssm.tracks import Array, states_of, with_trials
 
@@ -14,6 +17,8 @@ __all__ = ["Scales", "scales_of"]
 
 #: A tracking noise of less than this part of a mean step cannot be told from none.
 LEAST_NOISE = 1e-4
+#: Distances that are measured at most.
+MOST_PAIRS = 20_000_000
 
 
 @dataclass(frozen=True)
@@ -43,7 +48,8 @@ class Scales:
     noise
         Estimated standard deviation of the tracking noise of a coordinate; 0 if it cannot be told.
     apart
-        Ninety-eighth percentile of the distance between two individuals; 0 if nobody measured it.
+        Ninety-eighth percentile of the distance to those whom an individual sees; 0 if nobody
+        measured it.
     """
 
     space: int
@@ -84,13 +90,15 @@ class Scales:
         return cls(**plain)
 
 
-def scales_of(tracks: xr.Dataset) -> Scales:
+def scales_of(tracks: xr.Dataset, rule: GraphRule | None = None) -> Scales:
     """Measure the scales of tracks.
 
     Parameters
     ----------
     tracks
         The training part.
+    rule
+        Of who sees whom; absent, the adjacency of the tracks, or without one, all see all.
 
     Raises
     ------
@@ -112,7 +120,7 @@ def scales_of(tracks: xr.Dataset) -> Scales:
     change = np.diff(velocity, axis=1)
     step = float(np.sqrt(np.nanmean(change**2))) if np.isfinite(change).any() else 0.0
     length = float(np.sqrt(np.nanmean((rows - centre) ** 2)))
-    spacing, apart = _distances(position, length)
+    spacing = _spacing(position, length)
     return Scales(
         space=space,
         individuals=int(tracks.sizes["individual"]),
@@ -127,7 +135,7 @@ def scales_of(tracks: xr.Dataset) -> Scales:
         spacing=spacing,
         step=step,
         noise=_noise(position, float(tracks.attrs["fps"])),
-        apart=apart,
+        apart=_apart(tracks, states, rule, 2.0 * length),
     )
 
 
@@ -139,23 +147,41 @@ def _noise(position: Array, fps: float) -> float:
     return noise if noise > LEAST_NOISE * moved else 0.0
 
 
-def _distances(position: Array, length: float) -> tuple[float, float]:
-    """Return the median distance to the nearest neighbour and the 98th percentile of all.
+def _some_frames(frames: Array) -> npt.NDArray[np.int64]:
+    """Return the places of at most 200 frames, fewer of large swarms."""
+    count, individuals = len(frames), frames.shape[1]
+    most = max(1, min(200, count, MOST_PAIRS // individuals**2))
+    return np.linspace(0, count - 1, most).astype(np.int64)
 
-    Over at most 200 frames.
-    """
+
+def _spacing(position: Array, length: float) -> float:
+    """Return the median distance to the nearest neighbour."""
     frames = position.reshape(-1, *position.shape[-2:])
-    frames = frames[np.linspace(0, len(frames) - 1, min(200, len(frames))).astype(int)]
-    nearest, every = [], []
-    for frame in frames:
+    nearest = []
+    for frame in frames[_some_frames(frames)]:
         seen = frame[np.isfinite(frame).all(-1)]
         if len(seen) > 1:
             apart = np.linalg.norm(seen[:, None] - seen[None], axis=-1)
-            every.append(apart[np.triu_indices(len(seen), 1)])
             np.fill_diagonal(apart, np.inf)
             nearest.append(apart.min(-1))
-    if not nearest:
-        return length, 2.0 * length
-    return float(np.median(np.concatenate(nearest))), float(
-        np.percentile(np.concatenate(every), 98)
-    )
+    return float(np.median(np.concatenate(nearest))) if nearest else length
+
+
+def _apart(tracks: xr.Dataset, states: Array, rule: GraphRule | None, alone: float) -> float:
+    """Return the 98th percentile of the distance along the graph; ``alone`` if it has no edges."""
+    flat = states.reshape(-1, *states.shape[-2:])
+    index = _some_frames(flat)
+    space = flat.shape[-1] // 2
+    frames = torch.from_numpy(np.ascontiguousarray(flat[index]))
+    position = frames[..., :space]
+    if rule is not None:
+        graph = rule(position, frames[..., space:]).numpy() != 0
+    elif "adjacency" in tracks:
+        dims = ("trial", "time", "individual", "neighbor")
+        own = tracks["adjacency"].transpose(*dims).to_numpy()
+        graph = own.reshape(-1, *own.shape[-2:])[index] != 0
+    else:
+        graph = ~np.eye(flat.shape[-2], dtype=bool)
+    distance = torch.cdist(position, position).numpy()
+    distance = distance[np.isfinite(distance) & graph]
+    return float(np.percentile(distance, 98)) if distance.size else alone

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from swarmssm.errors import InputError
+from swarmssm.graphs import GraphRule
 from swarmssm.models import Scales, scales_of
 from swarmssm.tracks import make_tracks
 
@@ -91,3 +92,20 @@ def test_they_go_through_json():
     position = np.random.default_rng(0).normal(size=(20, 3, 2))
     scales = scales_of(make_tracks(position, fps=FPS))
     assert Scales.from_dict(json.loads(json.dumps(scales.to_dict()))) == scales
+
+
+def test_the_farthest_neighbours_are_those_of_the_graph():
+    """Three on a line at 0, 1 and 3: by all pairs, by a rule, by the adjacency that they carry."""
+    position = np.zeros((4, 3, 2))
+    position[..., 0] = [0.0, 1.0, 3.0]
+    position += 0.1 * np.arange(4)[:, None, None]
+    tracks = make_tracks(position, fps=FPS)
+    # The 98th percentile of [1, 2, 3] and of [1, 2], each distance twice a frame, interpolated.
+    assert scales_of(tracks).apart == pytest.approx(3.0)
+    within = scales_of(tracks, GraphRule("radius", radius=2.5)).apart
+    assert within == pytest.approx(2.0)
+    own = np.zeros((4, 3, 3))
+    own[:, 0, 1] = 1
+    assert scales_of(make_tracks(position, fps=FPS, adjacency=own)).apart == pytest.approx(1.0)
+    alone = scales_of(tracks, GraphRule("radius", radius=0.5))
+    assert alone.apart == pytest.approx(2.0 * alone.length)
