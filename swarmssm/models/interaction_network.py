@@ -1,5 +1,7 @@
 """A gated graph network on what individuals see of each other."""
 
+from collections.abc import Sequence
+
 import torch
 from torch import nn
 
@@ -122,6 +124,49 @@ class InteractionNetwork(nn.Module):
         width = self.enter.out_features
         # In front of them stands what does not come through a message, and the hidden state.
         return together[..., -2 * width : -width]
+
+    def contributions(
+        self, own: torch.Tensor, pair: torch.Tensor, pairs: Pairs, sizes: Sequence[int]
+    ) -> torch.Tensor:
+        r"""Return the result in the parts that it is the sum of.
+
+        Parameters
+        ----------
+        own, pair, pairs
+            As in :meth:`forward`.
+        sizes
+            How the first ``linear_features`` of a pair fall into groups: the size of each.
+
+        Returns
+        -------
+        ``(..., individual, part, out_features)``: what the sum and the mean of each group of pair
+        features put in by themselves; then an individual's own features; the messages
+        :math:`m_{ij}`; and the last :math:`h_i`.
+
+        Raises
+        ------
+        ValueError
+            If the sizes do not add up to ``linear_features``.
+        """
+        if sum(sizes) != self.linear_features:
+            raise ValueError(
+                f"sizes must add up to {self.linear_features}, and they are {list(sizes)}"
+            )
+        together, before = self._gather(own, pair, pairs)
+        gate, candidate, _ = self._last(together)
+        hidden = torch.lerp(before, torch.relu(candidate), torch.sigmoid(gate))
+        width, first = self.enter.out_features, own.shape[-1]
+        weighted = together.unsqueeze(-2) * self.straight.weight
+        summed = weighted[..., first : first + self.linear_features].split(list(sizes), -1)
+        second = first + self.linear_features
+        meant = weighted[..., second : second + self.linear_features].split(list(sizes), -1)
+        parts = [a.sum(-1) + b.sum(-1) for a, b in zip(summed, meant, strict=True)]
+        messages = weighted[..., -2 * width :].sum(-1)
+        own_part = weighted[..., :first].sum(-1) + weighted[..., -3 * width - 1 : -2 * width].sum(
+            -1
+        )
+        last = nn.functional.linear(hidden, self.leave.weight)
+        return torch.stack([*parts, own_part + self.leave.bias, messages, last], dim=-2)
 
     def _gather(
         self, own: torch.Tensor, pair: torch.Tensor, pairs: Pairs

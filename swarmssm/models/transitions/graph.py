@@ -39,6 +39,16 @@ LEAST_NOISE = 1e-3
 FEW_PAIRS = 4096
 #: Share of all pairs that are edges, up to which messages along edges alone are faster.
 LIST_UP_TO_DENSITY = 0.7
+#: What the network's result is the sum of, see :meth:`GraphTransition.parts`.
+PARTS = (
+    "displacement",
+    "relative velocity",
+    "push",
+    "distance",
+    "own",
+    "messages",
+    "hidden",
+)
 #: Degrees of freedom of Student's t start here; below 2 there would be no variance.
 START_DEGREES, LEAST_DEGREES = 6.0, 2.1
 
@@ -228,11 +238,46 @@ class GraphTransition(KinematicTransition):
         -------
         ``(..., individual, width)``.
         """
+        own, pair, pairs = self._told(states, inputs)
+        return self.network.messages(own, pair, pairs)
+
+    @property
+    def part_names(self) -> tuple[str, ...]:
+        """Names of the :meth:`parts`, in their order."""
+        return PARTS
+
+    def parts(self, states: torch.Tensor, inputs: StepInputs) -> torch.Tensor:
+        r"""Return the acceleration before limits of speed, in the parts that it is the sum of.
+
+        The network is linear in the last step, so that what it returns is a sum: of what it makes
+        of the displacements of the neighbours, of their relative velocities, of the
+        :math:`d/|d|^2`, of distances; of an individual's own features; of messages; and of its last
+        hidden state, in which all of these meet.
+
+        Parameters
+        ----------
+        states
+            ``(..., individual, state)``.
+        inputs
+            As in :meth:`forward`.
+
+        Returns
+        -------
+        ``(..., part, individual, space)``, all 0 before training.
+        """
+        space = self.space
+        own, pair, pairs = self._told(states, inputs)
+        found = self.network.contributions(own, pair, pairs, [space, space, space, 2])
+        return found[..., :space].transpose(-3, -2) * (self.change / self.dt)
+
+    def _told(
+        self, states: torch.Tensor, inputs: StepInputs
+    ) -> tuple[torch.Tensor, torch.Tensor, Pairs]:
+        """Return what the network is told, and the graph."""
         velocities = states[..., self.space :]
         pairs = Pairs(_shorter(_graph(inputs), velocities), velocities)
         own = self._own(states[..., : self.space], velocities, inputs.controls)
-        pair = self._pair(pairs.receivers(states), pairs.senders(states))
-        return self.network.messages(own, pair, pairs)
+        return own, self._pair(pairs.receivers(states), pairs.senders(states)), pairs
 
     def linearize(
         self,

@@ -205,7 +205,9 @@ class KernelTransition(ForceTransition):
             if self.has_repulsion:
                 pull, push = attraction, repulsion
             else:
-                pull, push = attraction.clamp(min=0.0), attraction.clamp(max=0.0)
+                pull = attraction.clamp(min=0.0)
+                # Not clamped again: where f is 0 the two must still add up to its derivative.
+                push = attraction - pull
             parts = [
                 (weight * pull).unsqueeze(-1) * toward,
                 (weight * push).unsqueeze(-1) * toward,
