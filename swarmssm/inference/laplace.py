@@ -32,10 +32,12 @@ GAIN = 1e-2
 #: Steps of L-BFGS in the first rounds, while the points are still far off.
 FIRST_STEPS = 10
 STEPS = 60
-#: Difference for the Hessian, on the unconstrained scale.
+#: Difference for the Hessian, in standard deviations of the prior on the unconstrained scale.
 DIFFERENCE = 1e-3
-#: Least curvature that is believed: a standard deviation of 10 on the unconstrained scale.
+#: Least curvature that is believed: a standard deviation of 10 of those of the prior.
 LEAST_CURVATURE = 1e-2
+#: Draws from which the spread of the prior is taken.
+PRIOR_DRAWS = 200
 #: The objective where a filter breaks down, so that a line search turns back.
 OUT_OF_BOUNDS = 1e15
 
@@ -109,7 +111,7 @@ def laplace(
     With ``method="iterated"`` the points of linearisation are held meanwhile, and moved to the
     new posterior path afterwards, until neither moves. The covariance is the inverse of the
     Hessian by central differences of the gradient; curvatures that are not positive are
-    replaced by their size, and by that of a standard deviation of 10 where there is none.
+    replaced by their size, and by that of ten standard deviations of the prior where there is none.
 
     Parameters that the model learns without prior (:class:`torch.nn.Parameter`) are maximised over
     together with the others and left at the maximum; the covariance is that at their values.
@@ -174,8 +176,11 @@ class _Problem:
         pieces += [p.detach().reshape(-1) for p in self.learned]
         if not pieces:
             raise InputError("model: it has no parameter with a prior, and none to be learned.")
-        self.start = torch.cat(pieces).numpy()
         self.number = sum(shape.numel() for shape in self.shapes.values())
+        # All is sought in units of the prior, since parameters have the units of the data.
+        self.scale = np.ones(sum(piece.numel() for piece in pieces))
+        self.scale[: self.number] = self._spread()
+        self.start = torch.cat(pieces).numpy() / self.scale
         self.evaluations = 0
         self.points: Points | None = None
         self.trouble: WorkError | None = None
@@ -189,6 +194,24 @@ class _Problem:
         """Trace the parameters at given values."""
         condition = pyro.poutine.condition(self.model.sample_globals, data=dict(values))
         return pyro.poutine.trace(condition).get_trace()
+
+    def _spread(self) -> Any:
+        """Return the spread of the prior of each parameter on the unconstrained scale.
+
+        Half of the middle 68 %: a standard deviation that heavy tails do not reach.
+        """
+        rows = []
+        with torch.no_grad(), torch.random.fork_rng():
+            torch.manual_seed(0)
+            for _ in range(PRIOR_DRAWS if self.names else 0):
+                drawn = pyro.poutine.trace(self.model.sample_globals).get_trace().nodes
+                parts = [self.transforms[name].inv(drawn[name]["value"]) for name in self.names]
+                rows.append(torch.cat([part.reshape(-1).double() for part in parts]).numpy())
+        if not rows:
+            return np.ones(0)
+        low, high = np.nanquantile(rows, [0.16, 0.84], axis=0)
+        spread = 0.5 * (high - low)
+        return np.where((spread > 0) & np.isfinite(spread), spread, 1.0)
 
     def values(self, free: Tensor) -> tuple[dict[str, Tensor], Tensor]:
         """Return the values of an unconstrained vector, and the log of the Jacobian."""
@@ -219,8 +242,8 @@ class _Problem:
         return population_evidence(self.batch, evidence) + prior + jacobian
 
     def __call__(self, place: Any) -> tuple[float, Any]:
-        """Return the negative log-density and its gradient."""
-        free = torch.tensor(place[: self.number], requires_grad=True)
+        """Return the negative log-density and its gradient, in units of the prior."""
+        free = self._free(place).requires_grad_()
         self._learn(place)
         try:
             total = -self.log_joint(free)
@@ -233,13 +256,17 @@ class _Problem:
             torch.zeros_like(value).reshape(-1) if gradient is None else gradient.reshape(-1)
             for value, gradient in zip(inputs, gradients, strict=True)
         ]
-        value, gradient = float(total.detach()), torch.cat(flat).numpy()
+        value, gradient = float(total.detach()), torch.cat(flat).numpy() * self.scale
         self.evaluations += 1
         if self.callback is not None:
             self.callback(self.evaluations, value)
         if not (math.isfinite(value) and np.isfinite(gradient).all()):
             return OUT_OF_BOUNDS, np.zeros_like(place)
         return value, gradient
+
+    def _free(self, place: Any) -> Tensor:
+        """Return the unconstrained parameters at a place."""
+        return torch.from_numpy((place * self.scale)[: self.number])
 
     def _learn(self, place: Any) -> None:
         """Put the values of learned parameters into the model."""
@@ -254,7 +281,7 @@ class _Problem:
         """Linearise at the most probable path of the present values."""
         if self.method == "iterated":
             self._learn(place)
-            values, _ = self.values(torch.from_numpy(place[: self.number]))
+            values, _ = self.values(self._free(place))
             self.points = linearization_points(
                 self.model, self.batch, values, layout=self.layout, start=self.points
             )
@@ -321,11 +348,12 @@ class _Problem:
         with torch.no_grad():
             for parameter, learned in zip(mine, self.learned, strict=True):
                 parameter.copy_(learned)
-            values, _ = self.values(torch.from_numpy(place[: self.number]))
+            values, _ = self.values(self._free(place))
+        factor = factor * self.scale[: self.number, None]
         volume = np.log(np.diag(factor)).sum() + 0.5 * self.number * math.log(2.0 * math.pi)
         return Laplace(
             self.names,
-            torch.from_numpy(place[: self.number].copy()),
+            self._free(place),
             torch.from_numpy(factor),
             values,
             -value,

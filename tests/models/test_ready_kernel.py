@@ -1,5 +1,7 @@
 """The ready kernel model: its prior, options, and the posterior of a linear regression."""
 
+import dataclasses
+
 import numpy as np
 import pyro
 import pyro.distributions as dist
@@ -38,13 +40,16 @@ def test_prior_of_a_kernel_has_the_precision_that_is_documented():
     second = np.diff(np.eye(7), 2, axis=0)
     expected = (np.eye(7) + second.T @ second / 0.3**2) / 2.0**2
     np.testing.assert_allclose(prior.precision_matrix.numpy(), expected, rtol=1e-4, atol=1e-4)
-    model = kernel(SCALES, splines=7, smoothness=0.3, repulsion=True)
-    # Three times U^2 / l, and three times U / l.
-    for name, height in (("attraction", 6.0), ("repulsion", 6.0), ("alignment", 6.0)):
+
+
+def test_kernels_are_in_units_of_what_turns_an_individual_at_its_neighbour():
+    """U = 3, l = 0.5."""
+    model = kernel(dataclasses.replace(SCALES, speed=3.0), splines=7, repulsion=True)
+    assert model.transition.units == pytest.approx((18.0, 6.0))
+    expected = smoothing_prior(model.transition.basis, 3.0, 0.3).precision_matrix
+    for name in ("attraction", "repulsion", "alignment"):
         own = model.transition._pyro_samples[name]
-        torch.testing.assert_close(
-            own.precision_matrix, prior.precision_matrix * (2.0 / height) ** 2, rtol=1e-4, atol=1e-5
-        )
+        torch.testing.assert_close(own.precision_matrix, expected)
 
 
 def test_a_smooth_prior_prefers_straight_curves():
@@ -174,8 +179,8 @@ def test_of_known_states_the_most_probable_kernels_are_those_of_ridge_regression
                     row[:, 5:] += np.outer(relative.numpy(), weights) / len(seen)
                 rows.append(row)
                 targets.append((velocity[trial, step + 1, i] - velocity[trial, step, i]) / 0.1)
-    rows, target = np.concatenate(rows), torch.cat(targets).numpy()
-    # The noise of an acceleration is 0.3 / sqrt(dt).
+    rows, target = 2.0 * np.concatenate(rows), torch.cat(targets).numpy()
+    # The unit of both kernels is 1 / 0.5. The noise of an acceleration is 0.3 / sqrt(dt).
     precision = 0.1 / 0.3**2
     priors = [
         model.transition._pyro_samples[n].precision_matrix for n in ("attraction", "alignment")

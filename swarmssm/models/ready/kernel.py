@@ -27,7 +27,7 @@ from swarmssm.models.transitions.social import Noise
 __all__ = ["Influence", "kernel", "smoothing_prior"]
 
 Influence = Literal["individual", "pair"]
-#: Height of a kernel, in units of what turns an individual within the distance to its neighbour.
+#: Height of a kernel in its unit: what turns an individual within the distance to its neighbour.
 HEIGHT = 3.0
 #: Standard deviation of each weight of the angular modulation.
 MODULATION = 0.5
@@ -58,14 +58,14 @@ def kernel(
     r"""Return the law of kernels with a smoothing prior in the units of the tracks.
 
     Let U be the typical speed (tracking noise taken off), l the distance to the nearest neighbour.
-    :math:`U^2 / l` turns an individual within that distance. The coefficients of each kernel, which
-    are about its values at the heights of the splines, have the prior
+    :math:`U^2 / l` turns an individual within that distance: it is the unit of attraction and
+    repulsion, U / l that of alignment. In these, the coefficients of each kernel, which are about
+    its values at the heights of the splines, have the prior
 
     .. math:: p(c) \propto \exp\Bigl(-\tfrac{1}{2\sigma^2}\bigl(|c|^2 +
        |D c|^2 / s^2\bigr)\Bigr),
 
-    with D the second differences, s the smoothness, and :math:`\sigma` three times :math:`U^2 / l`
-    for attraction and repulsion, three times :math:`U / l` for alignment. Where there are no data
+    with D the second differences, s the smoothness, and :math:`\sigma = 3`. Where there are no data
     the band of a kernel is that of this prior. All else has the priors of
     :func:`swarmssm.models.ready.boids`.
 
@@ -110,14 +110,13 @@ def kernel(
         raise InputError(f"smoothness: it must be positive, not {smoothness!r}.")
     view = view_priors(scales, radius)
     spacing, speed = positive(scales.spacing), true_speed(scales)
+    units = (speed**2 / spacing, speed / spacing)
     basis = SplineBasis(_reach(scales, reach, radius, edges), 0.5 * spacing, splines)
 
-    def curve(size: float) -> dist.MultivariateNormal:
-        return smoothing_prior(basis, HEIGHT * size, smoothness)
-
+    curve = smoothing_prior(basis, HEIGHT, smoothness)
     options: dict[str, Any] = {}
     if repulsion:
-        options["repulsion"] = curve(speed**2 / spacing)
+        options["repulsion"] = curve
     if angular:
         options["modulation"] = dist.Normal(torch.zeros(angular), MODULATION).to_event(1)
     number = scales.individuals
@@ -130,8 +129,9 @@ def kernel(
         scales.space,
         scales.dt,
         basis=basis,
-        attraction=curve(speed**2 / spacing),
-        alignment=curve(speed / spacing),
+        units=units,
+        attraction=curve,
+        alignment=curve,
         aggregation=aggregation,
         noise=noise,
         **options,

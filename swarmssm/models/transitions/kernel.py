@@ -1,5 +1,6 @@
 """Forces between pairs as smooth functions of their distance, to be inferred with bands."""
 
+import math
 from typing import Any, Literal, get_args
 
 import torch
@@ -48,9 +49,12 @@ class KernelTransition(ForceTransition):
         In which the kernels are written, for instance
         :class:`~swarmssm.models.transitions.SplineBasis`.
     attraction, alignment
-        Coefficients of f and g, ``(size,)``; in units of acceleration, and of one over time.
+        Coefficients of f and g, ``(size,)``, in multiples of the units.
     process_noise
         See :meth:`ForceTransition.give_own`.
+    units
+        An acceleration, in which attraction and repulsion are written, and one over a time, for the
+        alignment. Parameters of the size of 1 are learned best.
     repulsion
         Coefficients of q. Absent: there is none, and f says both.
     modulation
@@ -94,6 +98,7 @@ class KernelTransition(ForceTransition):
         attraction: Any,
         alignment: Any,
         process_noise: Any,
+        units: tuple[float, float] = (1.0, 1.0),
         repulsion: Any = None,
         modulation: Any = None,
         influence: Any = None,
@@ -108,7 +113,10 @@ class KernelTransition(ForceTransition):
         super().__init__(space, dt, noise=noise, limit_tolerance=limit_tolerance)
         if aggregation not in get_args(Aggregation):
             raise InputError(f"aggregation: it must be 'mean' or 'sum', not {aggregation!r}.")
+        if not all(0.0 < unit < math.inf for unit in units):
+            raise InputError(f"units: they must be positive, not {units!r}.")
         self.aggregation = aggregation
+        self.units = units
         self.basis = basis
         self.has_repulsion, self.is_modulated = repulsion is not None, modulation is not None
         self.has_influence = influence is not None
@@ -238,7 +246,8 @@ class KernelTransition(ForceTransition):
         """Return the coefficients of attraction, repulsion and alignment, ``(3, size)``."""
         attraction = self.attraction
         repulsion = self.repulsion if self.has_repulsion else torch.zeros_like(attraction)
-        return torch.stack([attraction, repulsion, self.alignment]).to(dtype)
+        force, rate = self.units
+        return torch.stack([force * attraction, force * repulsion, rate * self.alignment]).to(dtype)
 
     @property
     def _width(self) -> Tensor | None:

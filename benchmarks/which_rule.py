@@ -1,0 +1,117 @@
+"""Which rule each species follows: kernels, boids, a free network and constant velocity compared.
+
+    python benchmarks/which_rule.py SHARED_DATA [--sets guppies zebrafish guppy_pair sheep]
+        [--folder which_rule] [--steps 300] [--origins 40]
+
+For each recording `kernel`, `boids` and `graph-ssm` are fitted to the first 70 % of the frames (of
+the drives, for sheep), and score the last 15 %: log score of positions, nats per coordinate,
+beside constant velocity. Fits that are in the folder are not done again. Also written are
+`SET.nc` for `swarmssm analyze FOLDER/SET-kernel FOLDER/SET.nc`.
+"""
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+import xarray as xr
+
+from swarmssm import inference, io
+from swarmssm.analysis.forecasters import BaselineForecaster, ModelForecaster
+from swarmssm.analysis.log_scores import log_scores
+from swarmssm.analysis.subject import subject_of
+from swarmssm.inference import Fit
+from swarmssm.models.baselines import ConstantVelocity
+from swarmssm.tracks import make_tracks
+
+HORIZONS = (1, 2, 5, 10, 20)
+FORCES = {"relaxation": True, "limits": False, "noise": "additive"}
+MODELS: dict[str, dict[str, object]] = {
+    "kernel": {"model_options": {"angular": 2, **FORCES}},
+    "boids": {"model_options": dict(FORCES)},
+    "graph-ssm": {},
+}
+FILES = {
+    "guppies": "guppies_trex8/guppies_trex8.npz",
+    "zebrafish": "zebrafish_idtracker8/zebrafish_idtracker8.npz",
+    "guppy_pair": "guppy_pair/guppy_pair_trial_b.npz",
+}
+
+
+def sheep(data: Path) -> xr.Dataset:
+    """Return the sheep of each drive as a trial, NaN after its end; the dog is left out."""
+    with np.load(data / "sheep_dog" / "sheep_dog_events_1-2-3-4-5-6.npz") as file:
+        xy, segment, fps = file["xy"][:, :14].astype(float), file["segment"], float(file["fps"])
+    drives = [xy[segment == number] for number in np.unique(segment)]
+    longest = max(map(len, drives))
+    whole = np.full((len(drives), longest, *xy.shape[1:]), np.nan)
+    for place, drive in enumerate(drives):
+        whole[place, : len(drive)] = drive
+    return make_tracks(whole, fps=fps, unit="m")
+
+
+def recording(name: str, data: Path) -> xr.Dataset:
+    """Return a recording."""
+    return sheep(data) if name == "sheep" else io.read(data / FILES[name])
+
+
+def fitted(place: Path, model: str, tracks: xr.Dataset, steps: int) -> Fit:
+    """Fit, or take what is there."""
+    if place.exists():
+        return Fit.load(place)
+    began = time.process_time()
+    options = dict(MODELS[model])
+    if model == "graph-ssm":
+        options["steps"] = steps
+    fit = inference.fit(model, "auto", tracks, graph="complete", out=place, **options)
+    print(f"{place.name}: {time.process_time() - began:.0f} s of processor time", flush=True)
+    return fit
+
+
+def scores(fits: list[Fit], tracks: xr.Dataset, origins: int) -> dict[str, np.ndarray]:
+    """Return the log score of each model at each step, and of constant velocity."""
+    found = {}
+    for fit in fits:
+        subject = subject_of(fit, tracks)
+        steps = max(HORIZONS)
+        seen = subject.mask[:, : subject.mask.shape[1] - steps].any(-1)
+        trials, rows = np.nonzero(seen)
+        chosen = np.linspace(0, len(rows) - 1, min(origins, len(rows))).astype(int)
+        forecasters = [
+            ModelForecaster(subject, "decoder"),
+            BaselineForecaster(subject, ConstantVelocity()),
+        ]
+        told, _ = log_scores(subject, forecasters, trials[chosen], rows[chosen], steps, seed=0)
+        found |= told
+    return found
+
+
+def main() -> None:
+    """Fit what is missing, and print a table for each recording."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--sets", nargs="+", default=[*FILES, "sheep"])
+    parser.add_argument("--folder", type=Path, default=Path("which_rule"))
+    parser.add_argument("--steps", type=int, default=300)
+    parser.add_argument("--origins", type=int, default=40)
+    options = parser.parse_args()
+    options.folder.mkdir(exist_ok=True)
+    for name in options.sets:
+        tracks = recording(name, options.data)
+        file = options.folder / f"{name}.nc"
+        if not file.exists():
+            io.write(tracks, file)
+        tracks = io.read(file)
+        fits = {
+            model: fitted(options.folder / f"{name}-{model}", model, tracks, options.steps)
+            for model in MODELS
+        }
+        print(f"\n{name}: log score, nats per coordinate, after steps {HORIZONS}")
+        for model, told in scores([*fits.values()], tracks, options.origins).items():
+            print(f"  {model:18s}", " ".join(f"{told[step - 1]:8.2f}" for step in HORIZONS))
+
+
+if __name__ == "__main__":
+    torch.set_num_threads(1)
+    main()
