@@ -92,6 +92,22 @@ def test_laplace_is_exact_for_a_normal_posterior(exact):
         assert found.log_evidence == pytest.approx(evidence, abs=1e-3)
 
 
+def test_laplace_knows_no_units():
+    """The same swarm told in thousandths: a posterior that is a thousand times as wide."""
+    many, batch = 1000.0, windows()
+    transition = LinearTransition(
+        2, 0.9 * torch.eye(2), 0.2 * many * torch.eye(2), offset=dist.Normal(torch.zeros(2), many)
+    )
+    initial = InitialStates(torch.zeros(2), many * torch.ones(2))
+    model = StateSpaceModel(initial, transition, PositionEmission(2, 0.3 * many)).double()
+    plain = laplace(drifting(), batch)
+    found = laplace(model, replace(batch, observations=many * batch.observations))
+    # Each search ends within 0.02 standard deviations.
+    spread = many * plain.scale_tril.square().sum(-1).sqrt()
+    assert ((found.loc - many * plain.loc).abs() < 0.04 * spread).all()
+    torch.testing.assert_close(found.scale_tril, many * plain.scale_tril, rtol=1e-5, atol=1e-6)
+
+
 def test_it_fills_the_guide(exact):
     model = drifting()
     with quiet_pyro():
