@@ -1,7 +1,7 @@
 """Simulation-based calibration of `boids` with the linearized guide.
 
     python benchmarks/sbc.py [--datasets 200] [--law smooth|full] [--start moving|scattered]
-        [--frames 80] [--trials 1] [--path-draws 3] [--processes 2] [--out sbc.jsonl]
+        [--frames 60] [--trials 1] [--path-draws 0] [--processes 2] [--out sbc.jsonl]
 
 Flocks of 8 boids that see each other within 2, tracking noise of about 0.03, positions only. Truths
 are drawn from the priors, first states included: gains are LogNormal about 0.6, 0.15, 0.8 and 0.5,
@@ -49,9 +49,9 @@ def main() -> None:
     parser.add_argument("--datasets", type=int, default=200)
     parser.add_argument("--law", choices=["smooth", "full"], default="smooth")
     parser.add_argument("--start", choices=list(STARTS), default="moving")
-    parser.add_argument("--frames", type=int, default=80)
+    parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--trials", type=int, default=1)
-    parser.add_argument("--path-draws", type=int, default=3)
+    parser.add_argument("--path-draws", type=int, default=0)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--out", type=Path, default=Path("sbc.jsonl"))

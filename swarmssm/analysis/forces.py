@@ -10,7 +10,7 @@ squares over all frames of a draw, on the terms (3.16)-(3.18) of the thesis on t
 and on what an individual could do by itself; what these do not explain is ``other``.
 """
 
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -18,30 +18,30 @@ import xarray as xr
 
 from swarmssm import forces as boids_terms
 from swarmssm.analysis.frames import (
-    QUANTILES,
+    OWN_COLUMNS,
     Frames,
     frames_of,
     labels_of,
+    own_columns,
     seen_graph,
     unit_of,
 )
+from swarmssm.analysis.intervals import QUANTILES, quantiles
 from swarmssm.analysis.motion import Motion, PosteriorPaths, motion_of, posterior_paths
-from swarmssm.errors import InputError
 from swarmssm.inference import Fit
-from swarmssm.simulate import law_of
-from swarmssm.tracks import Array, states_of, validate_tracks, with_trials
+from swarmssm.tracks import Array
 
 __all__ = [
     "TERMS",
-    "force_agreement",
     "force_summary",
     "posterior_forces",
     "sentence",
-    "true_forces",
 ]
 
 #: Into what every acceleration is split.
 TERMS = ("cohesion", "separation", "alignment", "self", "other")
+#: Order of the dimensions of a force, behind draws.
+FORCE_DIMS = ("trial", "time", "individual", "space", "term")
 #: Where the terms of a transition, or of a simulator, belong; any other is ``other``.
 PLACES = {
     "cohesion": "cohesion",
@@ -57,21 +57,19 @@ COLUMNS = {
     "cohesion": ("cohesion", "1/s^2"),
     "separation": ("separation", "{}^2/s^2"),
     "alignment": ("alignment", "1/s"),
-    "velocity": ("self", "1/s"),
-    "heading": ("self", "{}/s^2"),
-    "offset": ("self", "1/s^2"),
-    "wall": ("self", "1/s^2"),
+    **{name: ("self", unit) for name, unit in OWN_COLUMNS.items()},
 }
-#: The wall of the projection stands at this share of half the extent of the training tracks.
-WALL_AT = 0.85
 #: Columns that are so nearly combinations of others count as such.
 COLLINEAR = 1e-10
 
-FORCE_DIMS = ("trial", "time", "individual", "space", "term")
-
 
 def posterior_forces(
-    fit: Fit, tracks: xr.Dataset, draws: int = 20, seed: int | torch.Generator = 0
+    fit: Fit,
+    tracks: xr.Dataset,
+    draws: int = 20,
+    seed: int | torch.Generator = 0,
+    *,
+    paths: PosteriorPaths | None = None,
 ) -> xr.Dataset:
     """Draw from the posterior what each force contributed to each individual's acceleration.
 
@@ -85,6 +83,9 @@ def posterior_forces(
         Draws of paths, each with its own parameters.
     seed
         Seed or generator.
+    paths
+        Draws of :func:`swarmssm.analysis.motion.posterior_paths` for these tracks, if they are
+        there already; ``draws`` and ``seed`` then mean nothing for paths.
 
     Returns
     -------
@@ -109,7 +110,9 @@ def posterior_forces(
         If ``draws`` is not positive, the tracks do not fit the model, or it has no law of motion.
     """
     motion = motion_of(fit)
-    paths = posterior_paths(fit, tracks, draws, seed)
+    if paths is None:
+        paths = posterior_paths(fit, tracks, draws, seed)
+    draws = paths.draws
     trials, times, individuals = paths.present.shape
     frames = (trials * times, individuals, motion.space)
     force = np.empty((draws, *frames, len(TERMS)), np.float32)
@@ -165,9 +168,7 @@ def posterior_forces(
     if motion.terms:
         return result
     units = [text.format(unit) for _, text in COLUMNS.values()]
-    return result.assign_coords(
-        column=list(COLUMNS), column_units=("column", units)
-    ).assign(
+    return result.assign_coords(column=list(COLUMNS), column_units=("column", units)).assign(
         coefficient=(
             ("draw", "column"),
             coefficients,
@@ -176,9 +177,7 @@ def posterior_forces(
     )
 
 
-def _name(
-    fit: Fit, motion: Motion, paths: PosteriorPaths, draw: int, out: np.ndarray
-) -> None:
+def _name(fit: Fit, motion: Motion, paths: PosteriorPaths, draw: int, out: Array) -> None:
     """Write the named terms of a draw ``(frame, individual, space, term)``."""
     forgets = getattr(fit.model.transition, "form", "acceleration") == "velocity"
     for frames in frames_of(paths, draw):
@@ -196,9 +195,7 @@ def _name(
         out[frames.rows] = named.numpy()
 
 
-def _project(
-    fit: Fit, motion: Motion, paths: PosteriorPaths, draw: int, out: np.ndarray
-) -> Array:
+def _project(fit: Fit, motion: Motion, paths: PosteriorPaths, draw: int, out: Array) -> Array:
     """Write the projected terms of a draw, and return the coefficients ``(column,)``."""
     size = len(COLUMNS)
     products, targets = torch.zeros(size, size, dtype=torch.float64), torch.zeros(size).double()
@@ -224,22 +221,16 @@ def _project(
 def _columns(fit: Fit, frames: Frames) -> torch.Tensor:
     """Return :data:`COLUMNS` ``(frame, individual, space, column)``, 0 for who is absent."""
     graph = seen_graph(fit, frames)
-    positions, velocities = frames.positions, frames.velocities
-    scales = fit.scales
-    low, high = positions.new_tensor(scales.low), positions.new_tensor(scales.high)
-    half_width = 0.5 * WALL_AT * (high - low)
-    speed = velocities.norm(dim=-1, keepdim=True)
+    positions = frames.positions
     columns = [
         boids_terms.cohesion(positions, graph),
         # Nearer than the tracking noise, nobody knows how near.
-        boids_terms.separation(positions, graph, softening=scales.noise),
-        boids_terms.alignment(velocities, graph, relative=True),
-        velocities,
-        velocities / torch.where(speed > 0, speed, 1.0),
-        positions - positions.new_tensor(scales.centre),
-        boids_terms.wall(positions, half_width, 0.5 * (low + high)),
+        boids_terms.separation(positions, graph, softening=fit.scales.noise),
+        boids_terms.alignment(frames.velocities, graph, relative=True),
+        *own_columns(fit, frames),
     ]
-    return torch.stack(columns, -1) * frames.present[..., None, None]
+    stacked = torch.stack(columns, -1)
+    return stacked * frames.present[..., None, None]
 
 
 def _solve(products: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
@@ -247,7 +238,8 @@ def _solve(products: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
     scale = products.diagonal().sqrt()
     scale = torch.where(scale > 0, scale, 1.0)
     inverse = torch.linalg.pinv(products / scale / scale.unsqueeze(-1), COLLINEAR, hermitian=True)
-    return inverse @ (targets / scale) / scale
+    solution: torch.Tensor = inverse @ (targets / scale) / scale
+    return solution
 
 
 def force_summary(forces: xr.Dataset) -> xr.Dataset:
@@ -313,12 +305,12 @@ def force_summary(forces: xr.Dataset) -> xr.Dataset:
     }
     for name, (angle, what) in _angles(force, velocity).items():
         data[name] = (at, angle, {"units": "rad", "long_name": what})
-    coords = {"quantile": list(QUANTILES)}
+    coords: dict[str, Any] = {"quantile": list(QUANTILES)}
     coords |= {name: forces[name].to_numpy() for name in FORCE_DIMS}
     return xr.Dataset(data, coords, dict(forces.attrs)).assign(explained=forces["explained"])
 
 
-def _angles(force: np.ndarray, velocity: np.ndarray) -> dict[str, tuple[np.ndarray, str]]:
+def _angles(force: Array, velocity: Array) -> dict[str, tuple[Array, str]]:
     """Return quantiles of angles in the world and to the heading, with what they are."""
     if force.shape[-2] == 3:
         speed = np.linalg.norm(velocity, axis=-1, keepdims=True)
@@ -340,163 +332,24 @@ def _angles(force: np.ndarray, velocity: np.ndarray) -> dict[str, tuple[np.ndarr
     }
 
 
-def _circular_quantiles(angle: np.ndarray) -> np.ndarray:
+def _circular_quantiles(angle: Array) -> Array:
     """Return quantiles over the first dimension, of deviations from the mean direction."""
     middle = np.arctan2(_mean(np.sin(angle), (0,)), _mean(np.cos(angle), (0,)))
     found = middle + quantiles(_wrapped(angle - middle))
     return np.asarray(found + (_wrapped(found[1]) - found[1]))
 
 
-def _wrapped(angle: np.ndarray) -> np.ndarray:
+def _wrapped(angle: Array) -> Array:
     return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
 
 
-def quantiles(values: np.ndarray) -> np.ndarray:
-    """Return :data:`QUANTILES` over the first dimension, NaN left out.
-
-    Of n draws, the interval between ranks 0.05 (n + 1) and 0.95 (n + 1), which holds another draw
-    with probability 0.9.
-    """
-    known = np.isfinite(values).any(0)
-    out = np.full((len(QUANTILES), *values.shape[1:]), np.nan)
-    some = values[:, known]
-    if not some.size:
-        return out
-    if np.isfinite(some).all():
-        out[:, known] = np.quantile(some, QUANTILES, axis=0, method="weibull")
-    else:
-        out[:, known] = np.nanquantile(some, QUANTILES, axis=0, method="weibull")
-    return out
-
-
-def _mean(values: np.ndarray, axes: tuple[int, ...]) -> np.ndarray:
+def _mean(values: Array, axes: tuple[int, ...]) -> Array:
     """Return the mean over what is known, NaN where nothing is."""
     known = np.isfinite(values)
     total = np.where(known, values, 0.0).sum(axes, dtype=np.float64)
     count = known.sum(axes)
-    return np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
-
-
-def true_forces(tracks: xr.Dataset) -> xr.Dataset:
-    """Return the forces behind simulated tracks, with the labels of :func:`posterior_forces`.
-
-    Parameters
-    ----------
-    tracks
-        With ``force (trial, time, term, space, individual)`` as
-        :func:`swarmssm.simulate.simulate_boids` writes it. Those of the velocity form are divided
-        by the time step, and ``self`` then holds ``-v / dt``. Tracks that do not say how they were
-        simulated are taken to hold accelerations.
-
-    Returns
-    -------
-    Dataset with ``force (trial, time, individual, space, term)``. ``other`` is what the limits of
-    speed did, where the tracks hold ``next_velocity``, else unknown (NaN).
-
-    Raises
-    ------
-    InputError
-        If the tracks have no forces, or those of a law that they do not add up to accelerations in.
-    """
-    tracks = with_trials(validate_tracks(tracks))
-    if "force" not in tracks or "term" not in tracks["force"].dims:
-        raise InputError(
-            "tracks: they hold no true forces. Only simulated tracks do, in the variable force "
-            "(trial, time, term, space, individual)."
-        )
-    per, forgets = 1.0, False
-    if "simulation" in tracks.attrs:
-        law = law_of(tracks)
-        if law.name != "boids":
-            raise InputError(
-                f"tracks: they follow the law {law.name}, whose terms do not add up to an "
-                "acceleration. Simulate boids."
-            )
-        forgets = getattr(law, "form", "acceleration") == "velocity"
-        per = 1.0 / law.dt if forgets else 1.0
-    fps = float(tracks.attrs["fps"])
-    space = tracks.sizes["space"]
-    velocity = states_of(tracks)[..., space:]
-    if "true_velocity" in tracks:
-        velocity = tracks["true_velocity"].transpose(*FORCE_DIMS[:-1]).to_numpy()
-    given = tracks["force"].transpose(*FORCE_DIMS)
-    out = np.zeros((*velocity.shape, len(TERMS)))
-    for name in given["term"].to_numpy():
-        place = TERMS.index(PLACES.get(str(name), "other"))
-        out[..., place] += per * given.sel(term=name).to_numpy()
-    if forgets:
-        out[..., TERMS.index("self")] -= fps * velocity
-    if "next_velocity" in tracks:
-        following = tracks["next_velocity"].transpose(*FORCE_DIMS[:-1]).to_numpy()
-        out[..., -1] = fps * (following - velocity) - out[..., :-1].sum(-1)
-    else:
-        out[..., -1] = np.nan
-    attrs = {"units": f"{unit_of(tracks)}/s^2", "long_name": "true contribution"}
-    return xr.Dataset(
-        {"force": (FORCE_DIMS, out, attrs)},
-        {"term": list(TERMS), **labels_of(tracks, *FORCE_DIMS[:-1])},
-        {"source": "truth", "unit": unit_of(tracks)},
-    )
-
-
-def force_agreement(forces: xr.Dataset, truth: xr.Dataset) -> xr.Dataset:
-    """Compare posterior forces with true ones.
-
-    Parameters
-    ----------
-    forces
-        What :func:`posterior_forces` returned.
-    truth
-        What :func:`true_forces` returned.
-
-    Returns
-    -------
-    Dataset over ``term``: ``r_squared`` of the posterior mean, over all coordinates, individuals
-    and frames, NaN where the true force never changes; ``slope`` of the true force on the posterior
-    mean, 1 if this is neither too large nor too small; ``coverage``, the share of true coordinates
-    within the 90 % interval of their draws.
-
-    Raises
-    ------
-    InputError
-        If the two have no trial, frame or individual in common.
-    """
-    mine, theirs = xr.align(forces["force"], truth["force"], join="inner")
-    if not mine.size:
-        raise InputError("truth: it has no trial, frame, individual or term of these forces.")
-    mine, theirs = mine.transpose("draw", *FORCE_DIMS), theirs.transpose(*FORCE_DIMS)
-    found = {"r_squared": [], "slope": [], "coverage": []}
-    for term in mine["term"].to_numpy():
-        drawn, true = mine.sel(term=term).to_numpy(), theirs.sel(term=term).to_numpy()
-        known = np.isfinite(drawn).all(0) & np.isfinite(true)
-        drawn, true = drawn[:, known].astype(np.float64), true[known]
-        for name, value in zip(found, _agreement(drawn, true), strict=True):
-            found[name].append(value)
-    names = {
-        "r_squared": "R^2 of the posterior mean",
-        "slope": "slope of the true force on the posterior mean",
-        "coverage": "coverage of 90 % intervals",
-    }
-    data = {
-        name: ("term", found[name], {"units": "1", "long_name": text})
-        for name, text in names.items()
-    }
-    return xr.Dataset(data, {"term": mine["term"].to_numpy()})
-
-
-def _agreement(drawn: np.ndarray, true: np.ndarray) -> tuple[float, float, float]:
-    """Return R^2, slope and coverage, NaN where they are not defined."""
-    spread = np.square(true - true.mean()).sum() if true.size else 0.0
-    if not spread > 0:
-        return np.nan, np.nan, np.nan
-    mean = drawn.mean(0)
-    r_squared = 1.0 - np.square(mean - true).sum() / spread
-    squared = np.square(mean).sum()
-    slope = (mean * true).sum() / squared if squared > 0 else np.nan
-    if len(drawn) == 1:
-        return float(r_squared), float(slope), np.nan
-    low, _, high = quantiles(drawn)
-    return float(r_squared), float(slope), float(((true >= low) & (true <= high)).mean())
+    mean: Array = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
+    return mean
 
 
 def sentence(forces: xr.Dataset) -> str:

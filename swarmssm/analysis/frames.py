@@ -7,6 +7,8 @@ from typing import Any
 import torch
 import xarray as xr
 
+from swarmssm import forces
+from swarmssm.analysis.intervals import QUANTILES
 from swarmssm.analysis.motion import PosteriorPaths
 from swarmssm.errors import InputError
 from swarmssm.graphs import dense
@@ -14,12 +16,25 @@ from swarmssm.inference import Fit
 from swarmssm.models import StateSpaceModel, StepInputs
 from swarmssm.models.transitions.perception import sight
 
-__all__ = ["QUANTILES", "Frames", "frames_of", "labels_of", "seen_graph", "unit_of"]
+__all__ = [
+    "OWN_COLUMNS",
+    "QUANTILES",
+    "Frames",
+    "check_plane",
+    "frames_of",
+    "labels_of",
+    "own_columns",
+    "seen_graph",
+    "unit_of",
+]
 
-#: Ends and middle of the intervals that every analysis gives.
-QUANTILES = (0.05, 0.5, 0.95)
+#: What an individual could do by itself, with the units of the coefficients.
+OWN_COLUMNS = {"velocity": "1/s", "heading": "{}/s^2", "offset": "1/s^2", "wall": "1/s^2"}
+#: The wall stands at this share of half the extent of the training tracks.
+WALL_AT = 0.85
+
 #: Pairs of individuals that are worked on at once.
-PAIRS_AT_ONCE = 2**20
+PAIRS_AT_ONCE = 2**18
 
 
 @dataclass(frozen=True)
@@ -96,13 +111,40 @@ def seen_graph(fit: Fit, frames: Frames) -> torch.Tensor:
             transition = model.transition
             if getattr(transition, "has_radius", False):
                 place = scaled[..., : scaled.shape[-1] // 2]
-                distance = torch.cdist(place, place)
+                distance = torch.cdist(place, place, compute_mode="donot_use_mm_for_euclid_dist")
                 sharp = getattr(transition, "is_sharp", True)
                 width = None if sharp else transition.radius_width.unsqueeze(-1)
                 graph = graph * sight(distance, transition.radius.unsqueeze(-1), width)[0]
     there = frames.present.unsqueeze(-1) & frames.present.unsqueeze(-2)
     itself = torch.eye(graph.shape[-1], dtype=torch.bool)
     return graph.masked_fill(~there | itself, 0.0)
+
+
+def own_columns(fit: Fit, frames: Frames) -> list[torch.Tensor]:
+    """Return what an individual could do by itself, as accelerations without coefficients.
+
+    Parameters
+    ----------
+    fit
+        A fit; its scales say where the middle and the walls are.
+    frames
+        Frames of a draw.
+
+    Returns
+    -------
+    In the order of :data:`OWN_COLUMNS`, each ``(frame, individual, space)``: the velocity, the
+    heading, the offset from the mean position, and the push of a soft wall
+    (:func:`swarmssm.forces.wall`) around the inner 85 % of the extent of the training tracks.
+    """
+    positions, velocities, scales = frames.positions, frames.velocities, fit.scales
+    low, high = positions.new_tensor(scales.low), positions.new_tensor(scales.high)
+    speed = velocities.norm(dim=-1, keepdim=True)
+    return [
+        velocities,
+        velocities / torch.where(speed > 0, speed, 1.0),
+        positions - positions.new_tensor(scales.centre),
+        forces.wall(positions, 0.5 * WALL_AT * (high - low), 0.5 * (low + high)),
+    ]
 
 
 def labels_of(tracks: xr.Dataset, *dims: str) -> dict[str, Any]:
@@ -112,7 +154,7 @@ def labels_of(tracks: xr.Dataset, *dims: str) -> dict[str, Any]:
 
 def unit_of(tracks: xr.Dataset, per: str = "") -> str:
     """Return the unit of length of tracks, with what stands behind it such as ``/s^2``."""
-    return f"{tracks.attrs.get('unit') or 'length'}{per}"
+    return f"{tracks.attrs.get('unit') or 'length units'}{per}"
 
 
 def check_plane(tracks: xr.Dataset, what: str) -> None:

@@ -8,7 +8,8 @@ velocity. With a typical distance L and a typical speed U both are accelerations
                          + U^2 \lVert \partial a_i / \partial v_j \rVert^2}
 
 (Frobenius norms) says by how much i would accelerate otherwise if j were displaced by about L and
-went by about U otherwise.
+went by about U otherwise. A separation that grows without bound at contact makes its mean over time
+hang on the closest encounters, and on how well these are known: intervals are then wide.
 
 A law that is the same for all only knows where an individual is: it says who, by its place, moves
 the others most. Whether an individual *counts* more than another in the same place is a
@@ -20,22 +21,22 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 import torch
 import xarray as xr
 
 from swarmssm.analysis.frames import QUANTILES, labels_of, unit_of
 from swarmssm.analysis.jacobians import acceleration_jacobian, has_closed_form
+from swarmssm.analysis.leaders import find_leader, find_loners
 from swarmssm.analysis.motion import Motion, PosteriorPaths, motion_of, posterior_paths
 from swarmssm.analysis.ranks import rank_probabilities
+from swarmssm.analysis.weights import label_weights, mean_over, pair_weights
 from swarmssm.errors import InputError
 from swarmssm.inference import Fit
-from swarmssm.models import StateSpaceModel
 from swarmssm.tracks import Array
 
-__all__ = ["WEIGHT_SAMPLES", "influence", "pair_weights"]
+__all__ = ["influence", "sentence"]
 
-#: Draws of the weights of individuals, of which there are more than of paths: they cost little.
-WEIGHT_SAMPLES = 4000
 #: Steps at which derivatives are taken unless the caller says how many.
 STEPS = 500
 #: Entries of the intervals over time that may be kept.
@@ -55,6 +56,7 @@ def influence(
     stride: int | None = None,
     length: float | None = None,
     speed: float | None = None,
+    paths: PosteriorPaths | None = None,
 ) -> xr.Dataset:
     """Say who moves whom, at each step and on average, with intervals over the posterior.
 
@@ -75,6 +77,8 @@ def influence(
         tracks.
     speed
         U; absent: the root mean square speed along the posterior path.
+    paths
+        Draws of paths that are there already, in place of new ones.
 
     Returns
     -------
@@ -123,7 +127,8 @@ def influence(
         if value is not None and not (value > 0 and math.isfinite(value)):
             raise InputError(f"{name}: it must be a positive number, not {value!r}.")
     motion = motion_of(fit)
-    paths = posterior_paths(fit, tracks, draws, seed)
+    paths = posterior_paths(fit, tracks, draws, seed) if paths is None else paths
+    draws = paths.draws
     trials, times, individuals = paths.present.shape
     if individuals < 2:
         raise InputError("tracks: there is one individual, and nobody for it to move.")
@@ -140,7 +145,7 @@ def influence(
     pairs = ("individual", "neighbor")
     each = labels_of(paths.tracks, "trial", "time", "individual")
     names = each["individual"]
-    outgoing, incoming = _mean_over(found.mean, 1), _mean_over(found.mean, 2)
+    outgoing, incoming = mean_over(found.mean, 1), mean_over(found.mean, 2)
     over_draws = ("draw", "individual")
     data: dict[str, Any] = {
         "influence": (("quantile", *pairs), _quantiles(found.mean)),
@@ -172,7 +177,7 @@ def influence(
         rank_probabilities(outgoing),
         {"units": "1", "long_name": "probability of the rank by outgoing influence"},
     )
-    result = result.merge(_of_weights(fit, names, seed))
+    result = result.merge(label_weights(*pair_weights(fit, seed=seed), names))
     result.attrs = {
         "position_scale": float(length),
         "velocity_scale": float(speed),
@@ -208,7 +213,7 @@ class _Influences(NamedTuple):
     mean: Array
     position: Array
     velocity: Array
-    steps: Array
+    steps: npt.NDArray[np.float32]
     trials: Array
 
 
@@ -239,7 +244,8 @@ def _along(
     sums = torch.zeros(3, needed, trials, individuals, individuals, dtype=torch.float64)
     course = np.empty((len(QUANTILES), trials * steps, individuals, individuals), np.float32)
     trial_of = torch.arange(trials).repeat_interleave(steps)
-    for rows in torch.arange(trials * steps).split(at_once):
+    for first in range(0, trials * steps, at_once):
+        rows = torch.arange(first, min(first + at_once, trials * steps))
         norms = torch.empty(3, needed, len(rows), individuals, individuals, dtype=torch.float64)
         for draw in range(needed):
             jacobian = acceleration_jacobian(
@@ -251,9 +257,9 @@ def _along(
                 paths.parameters[draw],
                 closed_form=closed,
             )
-            by_position, by_velocity = jacobian.square().sum(2).split(motion.space, -1)
-            norms[1, draw] = length * by_position.sum(-1).sqrt()
-            norms[2, draw] = speed * by_velocity.sum(-1).sqrt()
+            squared = jacobian.square().sum(2)
+            norms[1, draw] = length * squared[..., : motion.space].sum(-1).sqrt()
+            norms[2, draw] = speed * squared[..., motion.space :].sum(-1).sqrt()
         norms[0] = (norms[1].square() + norms[2].square()).sqrt()
         norms = norms * both[rows]
         sums.index_add_(2, trial_of[rows], norms)
@@ -289,97 +295,74 @@ def _typical_speed(paths: PosteriorPaths) -> float:
     return max(typical, 1e-12)
 
 
-def _mean_over(values: Array, axis: int) -> Array:
-    """Return the mean over those that are known, NaN where none is."""
-    known = np.isfinite(values)
-    number = known.sum(axis)
-    total = np.where(known, values, 0.0).sum(axis)
-    return np.divide(total, number, out=np.full(total.shape, np.nan), where=number > 0)
-
-
 def _quantiles(values: Array) -> Array:
     """Return quantiles over the first axis, NaN where any is NaN."""
     return np.quantile(values, QUANTILES, axis=0)
 
 
-def pair_weights(
-    fit: Fit, samples: int = WEIGHT_SAMPLES, seed: int | torch.Generator = 0
-) -> tuple[Array | None, Array | None]:
-    """Return the weights that a model gives to individuals, in draws of its parameters.
+def sentence(influence: xr.Dataset, rate: float = 0.05) -> str:
+    """Say in plain words who moves the others most, and whether there is a leader.
 
     Parameters
     ----------
-    fit
-        A fit.
-    samples
-        Number of draws.
-    seed
-        Seed or generator.
-
-    Returns
-    -------
-    Influence, ``(sample, individual)`` or ``(sample, individual, neighbor)``, and responsiveness,
-    ``(sample, individual)``; ``None`` where the model has none. Those that are fixed are there
-    once.
+    influence
+        From :func:`influence`.
+    rate
+        Of false alarms of the decision.
     """
-    if not isinstance(fit.model, StateSpaceModel):
-        return None, None
-    transition = fit.model.transition
-    names = [
-        name
-        for name in ("influence", "responsiveness")
-        if getattr(transition, f"has_{name}", False)
-    ]
-    if not names:
-        return None, None
-    drawn = fit.parameters(samples, seed)
-    found: dict[str, Array] = {}
-    for name in names:
-        if f"transition.{name}" in drawn:
-            found[name] = drawn[f"transition.{name}"].to_numpy().astype(np.float64)
-        else:
-            found[name] = getattr(transition, name).detach().double().numpy()[None]
-    return found.get("influence"), found.get("responsiveness")
+    low, middle, high = (influence["leadership"].sel(quantile=q).to_numpy() for q in QUANTILES)
+    if not np.isfinite(middle).any():
+        return "No two individuals are ever seen together, so nobody is known to move another."
+    best = int(np.nanargmax(middle))
+    name = str(influence["individual"].to_numpy()[best])
+    unit = influence.attrs["unit"]
+    first = float(influence["rank_probability"].sel(rank=1)[best])
+    text = (
+        f"{name} moves the others most: another state of it (by {_short(influence, 'position')} "
+        f"{unit} and {_short(influence, 'velocity')} {unit}/s) changes the acceleration of another "
+        f"by {middle[best]:.2g} {unit}/s^2 (90 % interval {low[best]:.2g} to {high[best]:.2g}), "
+        f"where the median individual reaches {np.nanmedian(middle):.2g}"
+    )
+    if influence.attrs["certain"]:
+        text += "; the model has no posterior over states or rule, so the interval has no width."
+    else:
+        text += f"; it ranks first in {first:.0%} of the draws."
+    return f"{text} {_decision(influence, rate)}"
 
 
-def _of_weights(fit: Fit, names: Array, seed: int | torch.Generator) -> xr.Dataset:
-    """Return the posterior of the weights with labels; empty if there are none."""
-    sent, received = pair_weights(fit, seed=seed)
-    if sent is None and received is None:
-        return xr.Dataset()
-    number = len(names)
-    others = ~np.eye(number, dtype=bool)
-    pairs = np.ones((1, 1, 1))
-    if sent is not None:
-        pairs = pairs * (sent if sent.ndim == 3 else sent[:, None, :])
-    if received is not None:
-        pairs = pairs * received[:, :, None]
-    pairs = np.where(others, pairs, np.nan)
-    pairs = pairs / np.nanmean(pairs, axis=(1, 2), keepdims=True)
-    data: dict[str, Any] = {
-        "pair_weight": (
-            ("quantile", "individual", "neighbor"),
-            _quantiles(pairs),
-            {"units": "1", "long_name": "weight with which individual counts neighbor"},
+def _short(influence: xr.Dataset, part: str) -> str:
+    """Return a scale with two digits."""
+    return f"{influence.attrs[f'{part}_scale']:.2g}"
+
+
+def _decision(influence: xr.Dataset, rate: float) -> str:
+    """Return the decision on leaders, and on loners if the model has weights of both kinds."""
+    found = find_leader(influence, rate)
+    leader = found.attrs["leader"]
+    if found.attrs["by"] == "nothing":
+        return (
+            "Whether anyone leads cannot be decided: the law is the same for all, and there are "
+            "too few trials; a model with weights of individuals (kernel with influence) can tell."
         )
-    }
-    over = ("sample", "individual")
-    coordinates: dict[str, Any] = {"individual": names, "neighbor": names}
-    if sent is not None:
-        own = sent if sent.ndim == 2 else _mean_over(np.where(others, sent, np.nan), 1)
-        own = own / own.mean(1, keepdims=True)
-        data["weight"] = (over, own, {"units": "1", "long_name": "weight of individual for others"})
-        data["weight_rank_probability"] = (
-            ("individual", "rank"),
-            rank_probabilities(own),
-            {"units": "1", "long_name": "probability of the rank by weight"},
+    asked = f"at a rate of false alarms of {rate:.0%} or less"
+    if found.attrs["by"] == "trials":
+        if leader:
+            return (
+                f"That {leader} is the one in trial after trial is no chance ({asked}), but the law"
+                " is the same for all, so this is by the places it takes."
+            )
+        return f"Which individual that is changes between trials as by chance ({asked})."
+    if leader:
+        weight = influence["weight"].sel(individual=leader)
+        low, high = np.quantile(weight, [0.05, 0.95])
+        text = (
+            f"By its weight, {low:.2g} to {high:.2g} times the mean of all, {leader} is a leader "
+            f"({asked})."
         )
-    if received is not None or (sent is not None and sent.ndim == 3):
-        own = _mean_over(pairs, 2) if received is None else received
-        own = own / own.mean(1, keepdims=True)
-        data["responsiveness"] = (
-            over,
-            own,
-            {"units": "1", "long_name": "weight of others for individual"},
-        )
-    return xr.Dataset(data, coordinates)
+    else:
+        text = f"By the weights of individuals, none counts for more than every other ({asked})."
+    if "responsiveness" in influence:
+        loners = find_loners(influence, rate).attrs["loners"]
+        if loners:
+            text += f" Neither moving others nor moved by them: {loners}."
+    return text

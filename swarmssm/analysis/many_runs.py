@@ -107,11 +107,18 @@ def run_many(
             progress(Counted(len(rows), len(wanted), failed))
 
     tell()
-    with _appending(out, head) as keep:
-        for index, row in _done(work, missing, processes):
-            rows[index] = {"index": index, **row}
-            keep(rows[index])
-            tell()
+    begun = out is not None and out.exists()
+    try:
+        with _appending(out, head) as keep:
+            for index, row in _done(work, missing, processes):
+                rows[index] = {"index": index, **row}
+                keep(rows[index])
+                tell()
+    except InputError:
+        # A mistake that the first piece finds leaves nothing behind.
+        if out is not None and not begun and not rows:
+            out.unlink(missing_ok=True)
+        raise
     return [rows[index] for index in wanted]
 
 

@@ -1,9 +1,5 @@
 """How well one quantity can be read from another: ridge regressions, cross-validated in blocks.
 
-Frames of a recording resemble the frames beside them. A probe that is tested on a frame whose
-neighbours it was fitted on scores what it remembers; so here whole trials are left out, or blocks
-of time with a gap around them, never single frames.
-
 All regressions of a design are made of the same few sums - of x, of x x', of x y' over each block
 of frames - so that thousands of targets, such as those of a permutation test, cost a product of
 matrices.
@@ -14,127 +10,18 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from sklearn.kernel_approximation import Nystroem
-from sklearn.model_selection import GroupKFold
 
-from swarmssm.errors import InputError
+from swarmssm.analysis.block_folds import Cells
 from swarmssm.tracks import Array
 
-__all__ = ["PENALTIES", "Folds", "RidgeProbe", "block_folds", "curved", "decorrelation"]
+__all__ = ["PENALTIES", "RidgeProbe", "curved"]
 
 Mask = npt.NDArray[np.bool_]
-Rows = npt.NDArray[np.int64]
-#: Penalties that are tried, for standardised features and per sample.
-PENALTIES = (1e-6, 1e-4, 1e-3, 1e-2, 1e-1, 1.0)
-#: From this many trials on whole trials are left out.
-LEAST_TRIALS = 3
-#: A feature or target whose variance is below this part of what it was measured in is constant.
+_Trained = tuple[float, Array, Array, Array]
+#: Penalties that are tried, per sample, for features of unit variance.
+PENALTIES = (1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0)
+#: A target whose variance is below this part of its mean square is constant.
 CONSTANT = 1e-18
-
-
-@dataclass(frozen=True)
-class Folds:
-    """Which frames train and which test each fold.
-
-    Attributes
-    ----------
-    train, test
-        ``(fold, trial, time)`` of bool.
-    by
-        ``"trial"`` or ``"time"``.
-    gap
-        Frames on either side of a tested block of time that neither train nor test.
-    """
-
-    train: Mask
-    test: Mask
-    by: str
-    gap: int
-
-    def __len__(self) -> int:
-        """Return the number of folds."""
-        return len(self.train)
-
-
-def block_folds(known: Mask, folds: int = 5, gap: int = 0) -> Folds:
-    """Divide a recording for cross-validation: by trials if there are three or more, else by time.
-
-    Parameters
-    ----------
-    known
-        ``(trial, time)`` of bool: frames there are.
-    folds
-        How many, at least 3; at most as many as there are trials.
-    gap
-        Frames left out of training on either side of a tested block of time.
-
-    Returns
-    -------
-    Folds in which each known frame is tested once.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than three folds, or so few frames that a block has none or leaves none.
-    """
-    if folds < 3:
-        raise InputError(f"folds: there must be at least 3, not {folds}.")
-    trials = np.flatnonzero(known.any(1))
-    if len(trials) >= LEAST_TRIALS:
-        folds = min(folds, len(trials))
-        test = np.zeros((folds, *known.shape), dtype=bool)
-        # Frames weigh trials, so that folds are of about one size.
-        groups = np.repeat(trials, known[trials].sum(1))
-        splitter = GroupKFold(folds)
-        for fold, (_, tested) in enumerate(splitter.split(groups, groups=groups)):
-            test[fold, np.unique(groups[tested])] = True
-        test &= known
-        return Folds(known & ~test, test, "trial", 0)
-    test = np.zeros((folds, *known.shape), dtype=bool)
-    near = test.copy()
-    for trial in trials:
-        frames = np.flatnonzero(known[trial])
-        for fold, block in enumerate(np.array_split(frames, folds)):
-            if len(block):
-                test[fold, trial, block] = True
-                near[fold, trial, max(0, block[0] - gap) : block[-1] + gap + 1] = True
-    train = known & ~near
-    if not (test.any((1, 2)).all() and train.any((1, 2)).all()):
-        raise InputError(
-            f"tracks: {int(known.sum())} frames are too few for {folds} blocks with gaps of {gap} "
-            "frames. Give more frames."
-        )
-    return Folds(train, test, "time", gap)
-
-
-def decorrelation(values: Array, level: float = np.exp(-1.0)) -> int:
-    """Return after how many frames values have forgotten themselves.
-
-    Parameters
-    ----------
-    values
-        ``(trial, time, individual, feature)``, NaN where unknown.
-    level
-        Autocorrelation, averaged over features, that counts as forgotten.
-
-    Returns
-    -------
-    First lag with an autocorrelation below the level, at most half the number of frames.
-    """
-    flat = np.moveaxis(values, 1, 0).reshape(values.shape[1], -1, values.shape[-1])
-    with np.errstate(invalid="ignore"):
-        centred = flat - np.nanmean(flat, (0, 1), keepdims=True)
-    known = np.isfinite(centred)
-    centred = np.where(known, centred, 0.0)
-    power = centred.var((0, 1))
-    moving = power > 0
-    longest = max(1, len(flat) // 2)
-    for lag in range(1, longest):
-        count = (known[lag:] & known[:-lag]).sum((0, 1))
-        product = (centred[lag:] * centred[:-lag]).sum((0, 1))
-        ratio = product[moving] / np.maximum(count[moving], 1) / power[moving]
-        if len(ratio) == 0 or ratio.mean() < level:
-            return lag
-    return longest
 
 
 def curved(features: Array, landmarks: int, seed: int = 0) -> Array:
@@ -178,7 +65,6 @@ class _Fold:
     test: Mask
     count: float
     mean: Array
-    spread: Array
     basis: Array
     eigenvalues: Array
     tested: Array
@@ -195,43 +81,39 @@ class RidgeProbe:
     ----------
     features
         ``(sample, feature)``, or ``(group, sample, feature)`` for as many separate regressions.
-    frames
-        ``(sample,)``: place of each sample's frame among the flattened ``(trial, time)``.
-    folds
-        Which frames train and test.
+        They are centred in each training part, and keep their size: to scale them there
+        as well would blow up one that hardly varies in training, such as a push of walls.
+    cells
+        Which samples train and test.
     penalties
         Those to choose from, per sample.
-    standardize
-        Whether features are brought to unit variance, in each training part by itself.
     """
 
     def __init__(
         self,
         features: Array,
-        frames: Rows,
-        folds: Folds,
+        cells: Cells,
         *,
         penalties: tuple[float, ...] = PENALTIES,
-        standardize: bool = True,
     ) -> None:
         grouped = features if features.ndim == 3 else features[None]
-        self.penalties, self.standardize = penalties, standardize
-        self.features = grouped - grouped.mean(1, keepdims=True)
-        self.size = np.square(self.features).mean(1)
-        self.cells, train, test = _cells(frames, folds)
-        self.count = np.array([len(cell) for cell in self.cells], dtype=float)
-        chosen = [self.features[:, cell] for cell in self.cells]
+        self.penalties = penalties
+        self.features = (grouped - grouped.mean(1, keepdims=True))[:, cells.order]
+        self.cells, self.count = cells, cells.count
+        chosen = [self.features[:, part] for part in cells.slices]
         self.sum = np.stack([part.sum(1) for part in chosen])
         self.square = np.stack([part.swapaxes(1, 2) @ part for part in chosen])
+        self.trained: dict[bytes, _Trained] = {}
         self.folds, self.inner = [], []
-        for fold in range(len(train)):
-            self.folds.append(self._prepare(train[fold], test[fold]))
+        for fold, (train, test) in enumerate(zip(cells.train, cells.test, strict=True)):
+            self.folds.append(self._prepare(train, test))
             others = [
-                self._prepare(train[fold] & train[other], test[other] & train[fold])
-                for other in range(len(train))
+                self._prepare(train & cells.train[other], cells.test[other] & train)
+                for other in range(len(cells.train))
                 if other != fold and len(penalties) > 1
             ]
             self.inner.append([other for other in others if other is not None])
+        self.trained.clear()
 
     def r2(self, targets: Array) -> tuple[Array, Array]:
         """Return the share of variance that is predicted of frames that were left out.
@@ -273,14 +155,14 @@ class RidgeProbe:
         -------
         ``(group, target, feature)``.
         """
-        everything = np.ones(len(self.cells), dtype=bool) if train is None else train
+        everything = np.ones(len(self.count), dtype=bool) if train is None else train
         fold = self._prepare(everything, everything)
         assert fold is not None
         sums = self._target_sums(targets[..., None])
         slope = self._slope(fold, sums)
         penalty = self.penalties[len(self.penalties) // 2]
-        weight = fold.basis @ (slope / (fold.eigenvalues[..., None] + penalty))
-        return (weight / fold.spread[..., None]).swapaxes(-1, -2)
+        weight: Array = fold.basis @ (slope / (fold.eigenvalues[..., None] + penalty))
+        return weight.swapaxes(-1, -2)
 
     def axis_r2(self, targets: Array, directions: Array) -> Array:
         """Return how well single directions in feature space predict each target.
@@ -301,7 +183,7 @@ class RidgeProbe:
         for fold, axes in zip(self.folds, directions, strict=True):
             if fold is None:
                 continue
-            scale = axes * fold.spread[0] @ fold.basis[0]
+            scale = axes @ fold.basis[0]
             across = scale @ self._slope(fold, sums)[0]
             own = np.square(scale) @ fold.eigenvalues[0]
             gain = across / np.where(own > 0, own, 1.0)[:, None]
@@ -321,7 +203,7 @@ class RidgeProbe:
         targets
             ``(sample, target)``.
         penalty
-            Added to the unit variances of the standardised features and targets.
+            Added to the variances of the features, and of the standardised targets.
 
         Returns
         -------
@@ -332,12 +214,13 @@ class RidgeProbe:
         spread = targets.std(0)
         targets = (targets - targets.mean(0)) / np.where(spread > 0, spread, 1.0)
         sums = self._target_sums(targets[..., None])
-        square = np.stack([targets[cell].T @ targets[cell] for cell in self.cells])
+        ordered = targets[self.cells.order]
+        square = np.stack([ordered[part].T @ ordered[part] for part in self.cells.slices])
         found, weights = [], []
         for fold in self.folds:
             if fold is None:
                 continue
-            trained = _covariance(fold.train, self.count, sums.sum[..., 0], square)
+            trained = _covariance(fold.train, self.count, sums.sum, square)
             values, basis = np.linalg.eigh(trained)
             whiten = basis / np.sqrt(values.clip(0.0) + penalty)
             root = np.sqrt(fold.eigenvalues + penalty)[..., None]
@@ -345,7 +228,7 @@ class RidgeProbe:
                 self._slope(fold, sums) / root @ whiten, full_matrices=False
             )
             left, right = left / root, whiten @ right.swapaxes(-1, -2)
-            tested = _covariance(fold.test, self.count, sums.sum[..., 0], square)
+            tested = _covariance(fold.test, self.count, sums.sum, square)
             count = self.count[fold.test].sum()
             within = fold.tested / count - fold.shift[..., None] * fold.shift[..., None, :]
             cross = self._tested_covariance(fold, sums)
@@ -353,7 +236,9 @@ class RidgeProbe:
             sizes = np.einsum("gfc,gfh,ghc->gc", left, within, left)
             others = np.einsum("gtc,tu,guc->gc", right, tested, right)
             product = (sizes * others).clip(0.0)
-            found.append(np.where(product > 0, across / np.sqrt(np.where(product > 0, product, 1)), 0))
+            found.append(
+                np.where(product > 0, across / np.sqrt(np.where(product > 0, product, 1)), 0)
+            )
             weights.append(count)
         return np.average(np.stack(found), axis=0, weights=weights)
 
@@ -364,19 +249,13 @@ class RidgeProbe:
 
     def _prepare(self, train: Mask, test: Mask) -> "_Fold | None":
         """Standardise and diagonalise a training part; ``None`` if a part is empty."""
-        count = self.count[train].sum()
-        if count < 2 or not test.any():
+        if self.count[train].sum() < 2 or not self.count[test].sum():
             return None
-        mean = self.sum[train].sum(0) / count
-        covariance = self.square[train].sum(0) / count - mean[..., None] * mean[..., None, :]
-        variance = np.diagonal(covariance, axis1=-2, axis2=-1)
-        still = variance <= CONSTANT + 1e-12 * self.size
-        spread = np.sqrt(np.where(still, 1.0, variance)) if self.standardize else np.ones_like(mean)
-        # A feature that does not vary in training says nothing, whatever it does later.
-        covariance = np.where(still[..., None] | still[..., None, :], 0.0, covariance)
-        eigenvalues, basis = np.linalg.eigh(covariance / (spread[..., None] * spread[..., None, :]))
-        basis = np.where(still[..., None], 0.0, basis)
-        turn = basis / spread[..., None]
+        # The same frames train when two folds are left out in either order.
+        key = train.tobytes()
+        if key not in self.trained:
+            self.trained[key] = self._train(train)
+        count, mean, turn, eigenvalues = self.trained[key]
         tested, total = self.square[test].sum(0), self.sum[test].sum(0)
         number = self.count[test].sum()
         outer = total[..., None] * mean[..., None, :]
@@ -386,28 +265,34 @@ class RidgeProbe:
         return _Fold(
             train,
             test,
-            float(count),
+            count,
             mean,
-            spread,
-            basis,
-            eigenvalues.clip(0.0),
+            turn,
+            eigenvalues,
             turn.swapaxes(-1, -2) @ tested @ turn,
             shift,
         )
+
+    def _train(self, train: Mask) -> "_Trained":
+        """Return count, mean, eigenvectors and eigenvalues of a training part."""
+        count = self.count[train].sum()
+        mean = self.sum[train].sum(0) / count
+        covariance = self.square[train].sum(0) / count - mean[..., None] * mean[..., None, :]
+        eigenvalues, basis = np.linalg.eigh(covariance)
+        return float(count), mean, basis, eigenvalues.clip(0.0)
 
     def _target_sums(self, targets: Array) -> "_TargetSums":
         """Return sums over each cell of targets ``(sample, target, component)``."""
         shape = targets.shape[1:]
         flat = targets.reshape(len(targets), -1)
-        flat = flat - flat.mean(0)
+        flat = (flat - flat.mean(0))[self.cells.order]
         groups, _, features = self.features.shape
-        cross = np.empty((len(self.cells), groups, features, flat.shape[1]))
-        total = np.empty((len(self.cells), flat.shape[1]))
+        cross = np.empty((len(self.count), groups, features, flat.shape[1]))
+        total = np.empty((len(self.count), flat.shape[1]))
         square = np.empty_like(total)
-        for index, cell in enumerate(self.cells):
+        for index, cell in enumerate(self.cells.slices):
             part = flat[cell]
-            rows = self.features[:, cell].swapaxes(1, 2).reshape(-1, len(cell))
-            cross[index] = (rows @ part).reshape(groups, features, -1)
+            cross[index] = self.features[:, cell].swapaxes(1, 2) @ part
             total[index] = part.sum(0)
             square[index] = np.einsum("st,st->t", part, part)
         return _TargetSums(shape, total, square, cross)
@@ -416,7 +301,7 @@ class RidgeProbe:
         """Return the covariance of features, in the eigenbasis, with targets in training."""
         mean = sums.sum[fold.train].sum(0) / fold.count
         cross = sums.cross[fold.train].sum(0) / fold.count - fold.mean[..., None] * mean
-        turned: Array = fold.basis.swapaxes(-1, -2) @ (cross / fold.spread[..., None])
+        turned: Array = fold.basis.swapaxes(-1, -2) @ cross
         return turned
 
     def _tested(self, fold: _Fold, sums: "_TargetSums") -> tuple[Array, Array]:
@@ -428,7 +313,7 @@ class RidgeProbe:
         cross = sums.cross[fold.test].sum(0)
         own = self.sum[fold.test].sum(0)[..., None]
         cross = cross - own * mean - fold.mean[..., None] * (total - number * mean)
-        turned: Array = fold.basis.swapaxes(-1, -2) @ (cross / fold.spread[..., None])
+        turned: Array = fold.basis.swapaxes(-1, -2) @ cross
         return squares.reshape(sums.shape), turned
 
     def _tested_covariance(self, fold: _Fold, sums: "_TargetSums") -> Array:
@@ -437,7 +322,7 @@ class RidgeProbe:
         number = self.count[fold.test].sum()
         mean = sums.sum[fold.train].sum(0) / fold.count
         moved = sums.sum[fold.test].sum(0) / number - mean
-        return cross / number - fold.shift[..., None] * moved
+        return np.asarray(cross / number - fold.shift[..., None] * moved)
 
     def _error(self, fold: _Fold, inner: "list[_Fold]", sums: "_TargetSums") -> Array:
         """Return squared errors ``(group, target, component)`` in the tested part of a fold."""
@@ -446,7 +331,7 @@ class RidgeProbe:
             tried = sum(self._errors(part, sums).sum(-1) for part in inner)
             chosen = np.argmin(tried, axis=0)
         errors = self._errors(fold, sums)
-        return np.take_along_axis(errors, chosen[None, ..., None], 0)[0]
+        return np.asarray(np.take_along_axis(errors, chosen[None, ..., None], 0)[0])
 
     def _errors(self, fold: _Fold, sums: "_TargetSums") -> Array:
         """Return squared errors with each penalty, ``(penalty, group, target, component)``."""
@@ -469,23 +354,6 @@ class _TargetSums:
     sum: Array
     square: Array
     cross: Array
-
-
-def _cells(frames: Rows, folds: Folds) -> tuple[list[Rows], Mask, Mask]:
-    """Part samples so that all of a cell train and test the same folds.
-
-    Returns
-    -------
-    Samples of each cell; and which cells train and test each fold, ``(fold, cell)``.
-    """
-    number = len(folds)
-    use = np.concatenate([folds.train.reshape(number, -1), folds.test.reshape(number, -1)])
-    kinds, cell = np.unique(use[:, frames], axis=1, return_inverse=True)
-    cell = cell.reshape(-1)
-    order = np.argsort(cell, kind="stable")
-    ends = np.searchsorted(cell[order], np.arange(kinds.shape[1] + 1))
-    cells = [order[start:stop] for start, stop in zip(ends[:-1], ends[1:], strict=True)]
-    return cells, kinds[:number], kinds[number:]
 
 
 def _covariance(part: Mask, count: Array, sums: Array, squares: Array) -> Array:

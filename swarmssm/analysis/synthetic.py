@@ -12,13 +12,13 @@ import torch
 import xarray as xr
 from pyro.nn import PyroSample
 
-from swarmssm.errors import InputError
+from swarmssm.errors import InputError, WorkError
 from swarmssm.inference.guides.registry import usual_guide
 from swarmssm.models import ObservedEdges, Scales, StateSpaceModel, find_model, with_priors
 from swarmssm.models.parameters import priors_of
 from swarmssm.tracks import MAX_COORDINATE, Array, make_tracks
 
-__all__ = ["FixedModel", "SyntheticData", "named_numbers", "standard_scales"]
+__all__ = ["FixedModel", "SyntheticData", "standard_scales"]
 
 #: Side of a square or cube in which positions are uniform, in standard deviations of a coordinate.
 UNIFORM_SIDE = math.sqrt(12.0)
@@ -49,7 +49,8 @@ def standard_scales(
         low=(-half,) * space,
         high=(half,) * space,
         length=1.0,
-        speed=1.0,
+        # As differences of noisy positions have it, which a model allows for.
+        speed=math.sqrt(1.0 + 2.0 * space * (noise / dt) ** 2),
         slow=0.5,
         fast=1.5,
         # Of points strewn at random over the square.
@@ -120,7 +121,7 @@ class FixedModel:
                 )
             _narrow(model, self.spread)
             if self.priors:
-                model = with_priors(model, self.priors)  # type: ignore[assignment]
+                with_priors(model, self.priors)
         learned = [name for name, weight in model.named_parameters() if weight.requires_grad]
         if learned:
             raise InputError(
@@ -204,7 +205,7 @@ class SyntheticData:
         adjacency = None
         if observed and drawn.adjacency is not None:
             graph = drawn.adjacency
-            adjacency = (graph if isinstance(graph, torch.Tensor) else graph.dense()).numpy()
+            adjacency = (graph if isinstance(graph, torch.Tensor) else graph.to_dense()).numpy()
         tracks = make_tracks(
             seen[..., : scales.space],
             velocity=seen[..., scales.space :] if seen.shape[-1] > scales.space else None,
@@ -213,24 +214,6 @@ class SyntheticData:
             source_software="swarmssm",
         )
         return tracks, drawn.parameters, drawn.states
-
-
-def named_numbers(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return every number of parameters by name and place, such as ``transition.center[0]``.
-
-    Parameters
-    ----------
-    values
-        Name -> array or tensor, whose first dimensions, if any, are kept by those who stack them:
-        here each is one value of a parameter.
-    """
-    named = {}
-    for name, value in values.items():
-        array = np.asarray(value)
-        for place in np.ndindex(array.shape):
-            index = f"[{', '.join(map(str, place))}]" if place else ""
-            named[name + index] = float(array[place])
-    return named
 
 
 def _narrow(model: StateSpaceModel, spread: float | None) -> None:

@@ -92,8 +92,10 @@ def uniformity_p_value(ranks: npt.ArrayLike, draws: int) -> float:
 def histogram_interval(number: int, share: float, level: float = 0.95) -> tuple[float, float]:
     """Return the central interval of the count in one bin that has a share of all ranks."""
     tail = 0.5 * (1.0 - level)
-    low, high = stats.binom.ppf([tail, 1.0 - tail], number, share)
-    return float(low), float(high)
+    return (
+        float(stats.binom.ppf(tail, number, share)),
+        float(stats.binom.ppf(1.0 - tail, number, share)),
+    )
 
 
 def inside_probability(
@@ -142,8 +144,8 @@ def _band(number: int, draws: int, level: float) -> tuple[Counts, Counts]:
 def _intervals(number: int, draws: int, outside: float) -> tuple[Counts, Counts]:
     """Return the counts at each point whose tails both have at least half of a probability."""
     points = _points(draws)
-    low = stats.binom.ppf(0.5 * outside, number, points)
-    high = stats.binom.isf(0.5 * outside, number, points)
+    low = np.asarray(stats.binom.ppf(0.5 * outside, number, points))
+    high = np.asarray(stats.binom.isf(0.5 * outside, number, points))
     return low.astype(np.int64), high.astype(np.int64)
 
 

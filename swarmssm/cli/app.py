@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from swarmssm import __version__
+from swarmssm.cli.analyzing import analyze
 from swarmssm.cli.demo import demo
 from swarmssm.cli.fitting import fit
 from swarmssm.cli.running import evaluate, forecast, report, rollout
@@ -32,6 +33,7 @@ app.command("fit")(fit)
 app.command("evaluate")(evaluate)
 app.command("forecast")(forecast)
 app.command("rollout")(rollout)
+app.command("analyze")(analyze)
 app.command("report")(report)
 
 

@@ -51,14 +51,39 @@ def _boids(
     space: Space = 2,
     process_noise: ProcessNoise = None,
     observation_noise: ObservationNoise = 0.0,
+    leader: Annotated[
+        int | None,
+        typer.Option(help="Place (from 0) of one whom all others follow and who heeds nobody."),
+    ] = None,
+    leader_strength: Annotated[
+        float, typer.Option(help="How many times the leader counts for the others.")
+    ] = 3.0,
+    loner: Annotated[
+        int | None,
+        typer.Option(help="Place (from 0) of one who heeds nobody and whom nobody heeds."),
+    ] = None,
     seed: Seed = 0,
     further: Further = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Boids with cohesion, separation and alignment, (3.16)-(3.20) of the thesis."""
     from swarmssm.simulate import simulate_boids
+    from swarmssm.simulate.attention import planted_attention
 
-    given = {"form": form, "radius": radius, "dt": dt, "process_noise": process_noise}
+    given: dict[str, Any] = {
+        "form": form,
+        "radius": radius,
+        "dt": dt,
+        "process_noise": process_noise,
+    }
+    if leader is not None or loner is not None:
+        if "attention" in named_values(further or [], "--set"):
+            raise InputError(
+                "--set: attention says all of who heeds whom; leave out --leader and --loner."
+            )
+        given["attention"] = planted_attention(
+            individuals, leader=leader, strength=leader_strength, loner=loner
+        )
     _write(
         simulate_boids,
         individuals,

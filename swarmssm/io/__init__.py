@@ -7,6 +7,7 @@ gives back number for number. A mistake in a file is one sentence of
 
 from swarmssm.io.arrays import read_arrays
 from swarmssm.io.detection import detect_format
+from swarmssm.io.groups import read_groups, write_groups
 from swarmssm.io.idtracker import read_idtracker
 from swarmssm.io.idtrackerai import read_idtrackerai
 from swarmssm.io.netcdf import read_netcdf, write_dataset
@@ -21,6 +22,7 @@ __all__ = [
     "detect_format",
     "read",
     "read_arrays",
+    "read_groups",
     "read_idtracker",
     "read_idtrackerai",
     "read_netcdf",
@@ -29,4 +31,5 @@ __all__ = [
     "read_trex_csv",
     "write",
     "write_dataset",
+    "write_groups",
 ]

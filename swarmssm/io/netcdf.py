@@ -2,7 +2,7 @@
 
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,16 @@ from swarmssm.io.opening import existing, reading
 from swarmssm.timegrid import check_fps, rate_of
 from swarmssm.validation import PLURALS, validate_tracks
 
-__all__ = ["read_netcdf", "write_dataset", "write_tracks"]
+__all__ = [
+    "encoded",
+    "read_netcdf",
+    "restored",
+    "restored_attributes",
+    "writable",
+    "write_buffered",
+    "write_dataset",
+    "write_tracks",
+]
 
 COMPRESSION = {"zlib": True, "complevel": 4, "shuffle": True}
 #: Names of attributes that are stored as JSON text because NetCDF has no form for them.
@@ -61,23 +70,54 @@ def write_dataset(dataset: xr.Dataset, path: Path | str, *, overwrite: bool = Fa
     WorkError
         If writing fails.
     """
+    dataset, encoding = encoded(dataset)
+    write_buffered(
+        path,
+        lambda buffer: dataset.to_netcdf(buffer, engine="h5netcdf", encoding=encoding),
+        overwrite=overwrite,
+    )
+
+
+def encoded(dataset: xr.Dataset) -> tuple[xr.Dataset, dict[Any, dict[str, Any]]]:
+    """Return a dataset with attributes that NetCDF can hold, and how to write its variables.
+
+    Raises
+    ------
+    InputError
+        If an attribute has no written form.
+    """
     dataset = dataset.copy()
-    dataset.attrs = _writable(dataset.attrs)
+    dataset.attrs = writable(dataset.attrs)
     encoding: dict[Any, dict[str, Any]] = {}
     for name in dataset.variables:
         variable = dataset[name]
-        variable.attrs = _writable(variable.attrs)
+        variable.attrs = writable(variable.attrs)
         # What a file was read with (chunks, fill values) says nothing of how to write it.
         variable.encoding = {}
         numeric = variable.dtype.kind in "fiub"
         encoding[name] = {**COMPRESSION} if numeric and variable.ndim else {}
         if variable.dtype.kind in "iub":
             encoding[name]["_FillValue"] = None
+    return dataset, encoding
+
+
+def write_buffered(
+    path: Path | str, write: Callable[[io.BytesIO], object], *, overwrite: bool = False
+) -> None:
+    """Write a file that ``write`` makes, in memory first.
+
+    Raises
+    ------
+    InputError
+        If ``path`` exists or cannot be written to.
+    WorkError
+        If writing fails.
+    """
     check_output(Path(path), overwrite=overwrite)
     # The file is made in memory: libhdf5 crashes when it closes a file on a disk that is full.
     buffer = io.BytesIO()
     try:
-        dataset.to_netcdf(buffer, engine="h5netcdf", encoding=encoding)
+        write(buffer)
     except (ValueError, TypeError, RuntimeError) as error:
         raise WorkError(f"{path}: could not be written ({error}).") from error
     with write_beside(Path(path), overwrite=overwrite) as temporary:
@@ -134,12 +174,18 @@ def read_netcdf(
 
 
 def _tidied(dataset: xr.Dataset) -> xr.Dataset:
+    """Undo what the format makes of text and of attributes, and rename what is in the plural."""
+    dataset = restored(dataset)
+    return dataset.rename({old: new for old, new in PLURALS.items() if old in dataset.dims})
+
+
+def restored(dataset: xr.Dataset) -> xr.Dataset:
     """Undo what the format makes of text and of attributes."""
     dataset = dataset.copy()
     for name in dataset.variables:
         variable = dataset[name]
         variable.encoding = {}
-        variable.attrs = _restored(variable.attrs)
+        variable.attrs = restored_attributes(variable.attrs)
         if variable.dtype.kind not in "fiubcmM":
             text = variable.astype(str)
             text.attrs = variable.attrs
@@ -149,8 +195,8 @@ def _tidied(dataset: xr.Dataset) -> xr.Dataset:
                 else (dataset.assign({name: text}))
             )
     dataset.encoding = {}
-    dataset.attrs = _restored(dataset.attrs)
-    return dataset.rename({old: new for old, new in PLURALS.items() if old in dataset.dims})
+    dataset.attrs = restored_attributes(dataset.attrs)
+    return dataset
 
 
 def _one_keypoint(dataset: xr.Dataset, keypoint: str | None, path: Path) -> xr.Dataset:
@@ -195,7 +241,7 @@ def _with_rate(dataset: xr.Dataset, fps: float) -> xr.Dataset:
     return dataset
 
 
-def _writable(attrs: Mapping[Any, Any]) -> dict[str, Any]:
+def writable(attrs: Mapping[Any, Any]) -> dict[str, Any]:
     """Return attributes in forms that NetCDF has."""
     out: dict[str, Any] = {}
     encoded = []
@@ -224,8 +270,8 @@ def _as_list(value: object) -> Any:
     raise TypeError(type(value).__name__)
 
 
-def _restored(attrs: Mapping[Any, Any]) -> dict[str, Any]:
-    """Undo :func:`_writable`."""
+def restored_attributes(attrs: Mapping[Any, Any]) -> dict[str, Any]:
+    """Undo :func:`writable`."""
     out = {str(name): value for name, value in attrs.items()}
     listed = out.pop(JSON_LIST, None)
     for name in json.loads(listed) if isinstance(listed, str) else []:

@@ -157,10 +157,9 @@ class InteractionNetwork(nn.Module):
         hidden = torch.lerp(before, torch.relu(candidate), torch.sigmoid(gate))
         width, first = self.enter.out_features, own.shape[-1]
         weighted = together.unsqueeze(-2) * self.straight.weight
-        summed = weighted[..., first : first + self.linear_features].split(list(sizes), -1)
         second = first + self.linear_features
-        meant = weighted[..., second : second + self.linear_features].split(list(sizes), -1)
-        parts = [a.sum(-1) + b.sum(-1) for a, b in zip(summed, meant, strict=True)]
+        plain = weighted[..., first:second] + weighted[..., second : second + self.linear_features]
+        parts = [part.sum(-1) for part in torch.split(plain, list(sizes), dim=-1)]
         messages = weighted[..., -2 * width :].sum(-1)
         own_part = weighted[..., :first].sum(-1) + weighted[..., -3 * width - 1 : -2 * width].sum(
             -1

@@ -281,6 +281,50 @@ def test_linearisation_is_the_derivative(rounds, sparse):
         torch.testing.assert_close(linear.jacobian[..., j, b], slope, rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.parametrize("rounds", [1, 2])
+@pytest.mark.parametrize("sparse", [False, True])
+def test_parts_add_up_to_the_acceleration(rounds, sparse):
+    model = GraphTransition(scales(), rounds=rounds, speed_limits=False, noise="state", width=8)
+    states, graph = rand(6, NUMBER, 4), graphs(6)
+    inputs = StepInputs(EdgeList.from_dense(graph) if sparse else graph)
+    assert (model.to(DOUBLE).parts(states, inputs) == 0).all()
+    model = scrambled(model)
+    parts = model.parts(states, inputs)
+    assert parts.shape == (6, len(model.part_names), NUMBER, 2)
+    change = model(states, inputs).mean[..., 2:] - states[..., 2:]
+    torch.testing.assert_close(parts.sum(-3), change / model.dt, **CLOSE)
+    assert (parts.abs().amax((0, 2, 3)) > 0).all()
+
+
+def test_parts_of_neighbours_are_nothing_to_who_is_alone():
+    model = scrambled(GraphTransition(scales(), width=8))
+    states, inputs = rand(6, NUMBER, 4), StepInputs(torch.zeros(6, NUMBER, NUMBER, dtype=DOUBLE))
+    parts = dict(zip(model.part_names, model.parts(states, inputs).unbind(-3), strict=True))
+    for name in ("displacement", "relative velocity", "push", "distance", "messages"):
+        assert (parts[name] == 0).all()
+    assert (parts["own"] != 0).all()
+    assert (model.features(states, inputs) == 0).all()
+
+
+def test_features_are_the_summed_messages():
+    model = scrambled(GraphTransition(scales(), width=8))
+    states, graph = rand(6, NUMBER, 4), graphs(6)
+    sender, receiver = states.unsqueeze(-3), states.unsqueeze(-2)
+    pair = model._pair(receiver, sender.expand(6, NUMBER, NUMBER, 4))
+    messages = torch.relu(model.network.pair[0](pair)) * graph.unsqueeze(-1)
+    expected = messages.sum(-2) / model.network.usual_degree
+    torch.testing.assert_close(model.features(states, StepInputs(graph)), expected, **CLOSE)
+    assert model.feature_names == tuple(f"message {k}" for k in range(1, 9))
+
+
+def test_contributions_want_all_linear_features():
+    network = InteractionNetwork(2, 5, 4, 2, width=3)
+    with pytest.raises(ValueError, match="add up to 4"):
+        network.contributions(
+            rand(3, 2), rand(3, 3, 5), Pairs(graphs(number=3), rand(3, 2)), [2, 1]
+        )
+
+
 def test_linearisation_can_be_learned_through():
     """The gradient of a function of the Jacobian, against central differences in one weight."""
     transition = scrambled(GraphTransition(scales(), width=8))

@@ -39,6 +39,11 @@ def build_report(sections: Sequence[Section], title: str = "swarmssm report") ->
     anchors = [section.anchor for section in sections]
     if len(set(anchors)) < len(anchors):
         raise InputError(f"sections: their anchors must differ, and they are {', '.join(anchors)}.")
+    return render("page.html", title=title, sections=sections)
+
+
+def render(template: str, **values: Any) -> str:
+    """Return a page of this folder, filled."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("swarmssm.analysis.report", "."),
         autoescape=True,
@@ -46,11 +51,10 @@ def build_report(sections: Sequence[Section], title: str = "swarmssm report") ->
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    return environment.get_template("page.html").render(
-        title=title,
-        sections=sections,
+    return environment.get_template(template).render(
         version=swarmssm.__version__,
         written=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        **values,
     )
 
 
@@ -84,7 +88,11 @@ def write_report(
         If it cannot be written; what was there before is then unchanged.
     """
     path = check_output(Path(path), overwrite=overwrite)
-    page = build_report(sections, title)
+    return write_page(build_report(sections, title), path, overwrite=overwrite)
+
+
+def write_page(page: str, path: Path, *, overwrite: bool) -> Path:
+    """Write a page, beside and renamed; return its path."""
     with write_beside(path, overwrite=overwrite) as temporary:
         temporary.write_text(page, encoding="utf-8")
     return path

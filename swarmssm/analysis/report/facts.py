@@ -1,15 +1,17 @@
 """What a run was made of: data, model, provenance, as labels with their text."""
 
+from collections import Counter
 from typing import Any
 
 import xarray as xr
 
 from swarmssm.analysis.evaluation import Evaluation
+from swarmssm.analysis.table import NOTHING
 from swarmssm.analysis.table import format_number as number
 from swarmssm.inference import Fit
 from swarmssm.summary import summarize
 
-__all__ = ["data_facts", "model_facts", "provenance_facts"]
+__all__ = ["data_facts", "model_facts", "parameter_rows", "provenance_facts", "scoring_facts"]
 
 Facts = list[tuple[str, str]]
 
@@ -22,6 +24,8 @@ ORIGIN = {
     "license": "license",
     "changes": "changes made",
 }
+#: Numbers of one parameter that are listed at most.
+MOST_ROWS = 20
 #: What the ready-made parts are, for a reader who has not read their code.
 IN_WORDS = {
     "graph-vae": (
@@ -36,8 +40,8 @@ IN_WORDS = {
 }
 
 
-def data_facts(fit: Fit, tracks: xr.Dataset, evaluation: Evaluation) -> Facts:
-    """Return what was recorded, what of it was scored, and to whom it is owed."""
+def data_facts(fit: Fit, tracks: xr.Dataset, part: str, what: str = "scored part") -> Facts:
+    """Return what was recorded, which part of it was looked at, and to whom it is owed."""
     found = summarize(tracks)
     unit = found["unit"]
     facts = [
@@ -56,7 +60,7 @@ def data_facts(fit: Fit, tracks: xr.Dataset, evaluation: Evaluation) -> Facts:
         ),
         ("unit of length", unit or "not given"),
         ("graph", _graph_words(fit)),
-        ("scored part", _part_words(fit, evaluation)),
+        (what, _part_words(fit, part)),
         (
             "source",
             " ".join(filter(None, (found["source_software"], found["source_file"]))) or "not given",
@@ -84,8 +88,28 @@ def model_facts(fit: Fit) -> Facts:
     return facts
 
 
-def provenance_facts(fit: Fit, evaluation: Evaluation) -> Facts:
-    """Return versions, data, digests and how it was scored."""
+def parameter_rows(fit: Fit) -> list[dict[str, str]]:
+    """Return the posterior of the parameters that have a prior, a row each; none without any.
+
+    Of one that has many numbers there is a row that says so.
+    """
+    table = fit.parameter_table()
+    columns = {"mean": "mean", "sd": "sd", "5 %": "low", "95 %": "high"}
+    sizes = Counter(str(name).partition("[")[0] for name in table.index)
+    rows = []
+    for name in map(str, table.index):
+        own, place, _ = name.partition("[")
+        if sizes[own] <= MOST_ROWS:
+            values = {t: number(float(table[c].loc[name])) for t, c in columns.items()}
+            rows.append({"parameter": name} | values)
+        elif place and not any(row["parameter"].startswith(f"{own}:") for row in rows):
+            blank = dict.fromkeys(columns, NOTHING)
+            rows.append({"parameter": f"{own}: {sizes[own]} numbers"} | blank)
+    return rows
+
+
+def provenance_facts(fit: Fit) -> Facts:
+    """Return versions, data and digests."""
     provenance = fit.provenance
     facts: Facts = []
     if provenance.get("created"):
@@ -98,13 +122,19 @@ def provenance_facts(fit: Fit, evaluation: Evaluation) -> Facts:
     data = provenance.get("data") or {}
     facts += [(f"data: {k}", str(v)) for k, v in data.items() if v]
     facts += [(f"sha256 of {k}", str(v)) for k, v in (provenance.get("files") or {}).items()]
+    return facts
+
+
+def scoring_facts(evaluation: Evaluation) -> Facts:
+    """Return how a fit was scored."""
     shown = ("part", "horizons", "origins", "free_run_steps", "starts", "draws", "seed", "edges")
     scoring = ", ".join(
         f"{name.replace('_', ' ')} {_words(evaluation.settings[name])}" for name in shown
     )
-    facts.append(("scored with", scoring))
-    facts.append(("L (4.1)", f"{number(evaluation.settings['L'])} (scaled states)"))
-    return facts
+    return [
+        ("scored with", scoring),
+        ("L (4.1)", f"{number(evaluation.settings['L'])} (scaled states)"),
+    ]
 
 
 def _described(name: str) -> str:
@@ -121,9 +151,8 @@ def _graph_words(fit: Fit) -> str:
     return f"made by the rule {rule}"
 
 
-def _part_words(fit: Fit, evaluation: Evaluation) -> str:
-    """Return which frames were scored."""
-    part = evaluation.settings["part"]
+def _part_words(fit: Fit, part: str) -> str:
+    """Return which frames were looked at."""
     if part == "all":
         return "all frames"
     frames = sum(s.stop - s.start for s in fit.split.part(part))

@@ -13,7 +13,13 @@ from swarmssm.analysis import plots
 from swarmssm.analysis.evaluation import Evaluation
 from swarmssm.analysis.report import sentences
 from swarmssm.analysis.report.embed import as_svg, house_style
-from swarmssm.analysis.report.facts import data_facts, model_facts, provenance_facts
+from swarmssm.analysis.report.facts import (
+    data_facts,
+    model_facts,
+    parameter_rows,
+    provenance_facts,
+    scoring_facts,
+)
 from swarmssm.analysis.table import edge_table, horizon_table, scores_table
 from swarmssm.analysis.thesis import FOOTNOTE
 from swarmssm.inference import Fit
@@ -46,7 +52,9 @@ class Section:
         One sentence that sums up, and those that it rests on.
     data, model, provenance
         Facts, label and text.
-    scores, horizons, edges
+    parameters
+        Posterior of the parameters that have a prior; empty without any.
+    scores, horizons, log_scores, edges
         Tables, rows of column title and text.
     footnote
         To the thesis's rows; empty if there are none.
@@ -62,9 +70,11 @@ class Section:
     reasons: list[str]
     data: Facts
     model: Facts
+    parameters: Rows
     provenance: Facts
     scores: Rows
     horizons: Rows
+    log_scores: Rows
     edges: Rows
     footnote: str
     notes: list[str]
@@ -104,11 +114,13 @@ def section_of(
         anchor,
         verdict,
         reasons,
-        data_facts(fit, tracks, evaluation),
+        data_facts(fit, tracks, str(evaluation.settings["part"])),
         model_facts(fit),
-        provenance_facts(fit, evaluation),
+        parameter_rows(fit),
+        provenance_facts(fit) + scoring_facts(evaluation),
         scores,
         horizon_table(evaluation),
+        horizon_table(evaluation, "log_score"),
         edge_table(evaluation),
         FOOTNOTE if thesis else "",
         list(evaluation.notes),

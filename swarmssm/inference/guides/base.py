@@ -1,6 +1,6 @@
 """What every guide offers."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Self
 
 import pyro
@@ -119,6 +119,24 @@ class PathGuide(SwarmGuide):
         enters).
         """
         raise TypeError(f"{type(self).__name__} must define path(batch, values)")
+
+    def paths(
+        self, batch: SwarmBatch, values: Sequence[Mapping[str, torch.Tensor]]
+    ) -> torch.Tensor:
+        """Draw a path of each window with each of some draws of the parameters.
+
+        Parameters
+        ----------
+        batch
+            As in :meth:`path`.
+        values
+            Drawn parameters, by full name, one draw after the other.
+
+        Returns
+        -------
+        ``(draw, batch, time, individual, state)``.
+        """
+        return torch.stack([self.path(batch, drawn)[0] for drawn in values])
 
     def last_state(
         self, batch: SwarmBatch, values: Mapping[str, torch.Tensor], draws: int

@@ -1,6 +1,6 @@
 """The model's own smoother as a guide: no network, exact where the model is linear Gaussian."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import ClassVar, Literal, get_args
 
 import torch
@@ -8,7 +8,7 @@ import torch
 from swarmssm.errors import InputError
 from swarmssm.inference.filtering.evidence import ITERATIONS, linearization_points
 from swarmssm.inference.filtering.kalman import Filtered, extended_kalman, kalman, smooth
-from swarmssm.inference.filtering.layouts import JOINT_LIMIT, Frames, Layout, frames_of
+from swarmssm.inference.filtering.layouts import JOINT_LIMIT, Frames, Layout, Points, frames_of
 from swarmssm.inference.filtering.matrices import root
 from swarmssm.inference.filtering.paths import draw_paths, path_log_density
 from swarmssm.inference.guides.base import PathGuide
@@ -89,7 +89,26 @@ class LinearizedGuide(PathGuide):
         self, batch: SwarmBatch, values: Mapping[str, torch.Tensor]
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Draw a path for each window, differentiably in the parameters at held points."""
-        frames, filtered = self._filter(batch, values)
+        return self._path(batch, values, None)
+
+    def paths(
+        self, batch: SwarmBatch, values: Sequence[Mapping[str, torch.Tensor]]
+    ) -> torch.Tensor:
+        """Draw paths with each of some draws of the parameters; see :meth:`PathGuide.paths`.
+
+        Each most probable path is sought from that of the parameters' median, which is near.
+        """
+        middle = self.parameters_guide.median()
+        start = linearization_points(
+            self.model, batch, middle, layout=self.layout, iterations=self.iterations
+        )
+        return torch.stack([self._path(batch, drawn, start)[0] for drawn in values])
+
+    def _path(
+        self, batch: SwarmBatch, values: Mapping[str, torch.Tensor], start: Points | None
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Draw a path for each window, its most probable one being near ``start``."""
+        frames, filtered = self._filter(batch, values, start)
         rows = draw_paths(filtered, 1)
         density = path_log_density(filtered, rows).squeeze(0)
         dtype = batch.observations.dtype
@@ -131,11 +150,14 @@ class LinearizedGuide(PathGuide):
         return frames.paths(smooth(filtered).mean).to(batch.observations.dtype)
 
     def _filter(
-        self, batch: SwarmBatch, values: Mapping[str, torch.Tensor]
+        self,
+        batch: SwarmBatch,
+        values: Mapping[str, torch.Tensor],
+        start: Points | None = None,
     ) -> tuple[Frames, Filtered]:
         """Filter windows with the model linearised at their most probable path."""
         points = linearization_points(
-            self.model, batch, values, layout=self.layout, iterations=self.iterations
+            self.model, batch, values, layout=self.layout, start=start, iterations=self.iterations
         )
         with self.model.fixed(values):
             frames = frames_of(self.model, batch, self.layout)

@@ -130,7 +130,7 @@ class StateSpacePredictor(Predictor):
         if isinstance(guide, PathGuide):
             if not priors_of(self.model):
                 return self._draw(batch, len(values))
-            return torch.stack([guide.path(batch, value)[0] for value in values])
+            return guide.paths(batch, values)
         paths = []
         for value in values:
             held = pyro.poutine.condition(guide, data=dict(value))

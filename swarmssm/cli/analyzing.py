@@ -1,0 +1,118 @@
+"""``analyze``: what a fitted run says of forces, rules, latents and influence, and how surely."""
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import rich.console
+import typer
+
+from swarmssm.cli.console import (
+    Overwrite,
+    Seed,
+    TableFormat,
+    TrustCode,
+    named_values,
+    print_json,
+    print_rows,
+    say,
+)
+from swarmssm.errors import InputError
+from swarmssm.files import check_output
+
+__all__ = ["analyze"]
+
+
+def analyze(
+    run: Annotated[Path, typer.Argument(help="Run folder, as fit writes it.")],
+    file: Annotated[Path, typer.Argument(help="Tracks: NetCDF, or any file import can read.")],
+    out: Annotated[Path, typer.Option(help="NetCDF file to write, a group for each analysis.")],
+    report: Annotated[
+        Path | None, typer.Option(help="HTML page to write. Default: beside OUT, ending in .html.")
+    ] = None,
+    draws: Annotated[int, typer.Option(help="Draws of paths from the posterior.")] = 20,
+    part: Annotated[
+        str, typer.Option(help="train, validation, test (of the run's own file) or all.")
+    ] = "all",
+    only: Annotated[
+        str | None,
+        typer.Option(help="Some of forces,kernels,force_maps,latents,influence, with commas."),
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="ANALYSIS.OPTION=VALUE, such as force_maps.bins=21. Repeat."),
+    ] = None,
+    seed: Seed = 0,
+    format: Annotated[
+        TableFormat, typer.Option("--format", help="Print text or JSON.")
+    ] = TableFormat.text,
+    trust_code: TrustCode = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Say which forces act, by which rule, what the latents carry, who moves whom; how surely."""
+    from swarmssm import inference, io
+    from swarmssm.analysis.analyze import analyze as all_analyses
+    from swarmssm.analysis.findings import findings, findings_table
+    from swarmssm.analysis.report.analysis_page import report_analysis
+
+    page = out.with_suffix(".html") if report is None else report
+    check_output(out, overwrite=overwrite)
+    check_output(page, overwrite=overwrite)
+    if page.resolve() == out.resolve():
+        raise InputError(f"{out}: data and report cannot be one file. Name another with --report.")
+    options = _options(settings or [])
+    chosen = None if only is None else [name.strip() for name in only.split(",")]
+    fitted = inference.Fit.load(run, trust_code=trust_code)
+    tracks = io.read(file)
+    with _asking() as show:
+        found = all_analyses(
+            fitted,
+            tracks,
+            draws=draws,
+            part=part,
+            seed=seed,
+            only=chosen,
+            options=options,
+            progress=show,
+        )
+    found.write(out, overwrite=overwrite)
+    report_analysis(found, fitted, tracks, page, overwrite=overwrite)
+    if format is TableFormat.json:
+        print_json(
+            {
+                "settings": found.settings,
+                "findings": [one.to_dict() for one in findings(found)],
+                "sentences": found.sentences,
+                "notes": list(found.notes),
+            }
+        )
+        return
+    print_rows(f"{run} on {file}", findings_table(found))
+    for note in found.notes:
+        say(note)
+    say(f"{out}: written. {page}: written; open it in a browser.")
+
+
+def _options(pairs: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Read options of analyses."""
+    options: dict[str, dict[str, Any]] = {}
+    for name, value in named_values(pairs, "--set").items():
+        which, point, option = name.partition(".")
+        if not point or not which or not option:
+            raise InputError(f"--set: {name!r} is not of the form ANALYSIS.OPTION=VALUE.")
+        options.setdefault(which, {})[option] = value
+    return options
+
+
+@contextmanager
+def _asking() -> Iterator[Callable[[str], None]]:
+    """Show which analysis is at work: a moving line on a terminal, plain lines elsewhere."""
+    from swarmssm.analysis.analyze import TITLES
+
+    if sys.stderr.isatty():
+        with rich.console.Console(stderr=True).status("analysing") as status:
+            yield lambda name: status.update(f"analysing {TITLES[name]}")
+        return
+    yield lambda name: typer.echo(f"analysing {TITLES[name]}", err=True)

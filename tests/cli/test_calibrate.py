@@ -1,0 +1,184 @@
+"""``swarmssm calibrate``: tiny studies from the command line, going on, mistakes."""
+
+import json
+
+import pytest
+import xarray as xr
+
+SMALL = ("--frames", 8, "--individuals", 2, "--trials", 1)
+HELD = (
+    *("--model", "linear", "--prior", "cohesion_gain=Normal(1,0.2)"),
+    *("--prior", "alignment_gain=Normal(1,0.2)"),
+)
+
+
+def test_calibration_is_written_and_said(swarmssm, tmp_path):
+    done = swarmssm("calibrate", *HELD, *SMALL, "--datasets", 2, "--draws", 19, "--out", "sbc.nc")
+    assert done.status == 0, done.err
+    assert "2 of 2 data sets" in done.err
+    assert "cohesion_gain" in done.out
+    assert "over 2 simulated data sets" in done.out
+    assert "sbc.nc, sbc.png: written" in done.out
+    with xr.open_dataset(tmp_path / "sbc.nc") as found:
+        assert dict(found.sizes)["dataset"] == 2
+        assert found.attrs["draws"] == 19
+        assert json.loads(found.attrs["settings"])["individuals"] == 2
+    assert (tmp_path / "sbc.png").read_bytes().startswith(b"\x89PNG")
+    lines = (tmp_path / "sbc.jsonl").read_text().splitlines()
+    assert len(lines) == 3
+
+    again = swarmssm("calibrate", *HELD, *SMALL, "--datasets", 2, "--draws", 19, "--out", "sbc.nc")
+    assert again.status == 2
+    assert "exists already" in again.err
+
+    # A power cut in the last line; then one data set more than at first.
+    whole = "\n".join([*lines[:2], lines[2][:50]])
+    (tmp_path / "sbc.jsonl").write_text(whole)
+    more = swarmssm(
+        *("calibrate", *HELD, *SMALL, "--datasets", 3, "--draws", 19, "--out", "sbc.nc"),
+        *("--resume", "--format", "json", "--figure", "sbc.svg"),
+    )
+    assert more.status == 0, more.err
+    assert "1 of 3 data sets" in more.err
+    table = json.loads(more.out)
+    assert {row["quantity"] for row in table["calibration"]} >= {"transition.cohesion_gain"}
+    assert "over 3 simulated" in table["sentence"]
+    now = [json.loads(line) for line in (tmp_path / "sbc.jsonl").read_text().splitlines()]
+    before = [json.loads(line) for line in lines]
+    assert now[:2] == before[:2]
+    assert now[2] | {"seconds": 0} == before[2] | {"seconds": 0}
+    assert len(now) == 4
+    assert "<svg" in (tmp_path / "sbc.svg").read_text()
+
+    other = swarmssm(
+        *("calibrate", *HELD, *SMALL, "--datasets", 3, "--draws", 20, "--out", "sbc.nc"),
+        "--resume",
+    )
+    assert other.status == 2
+    assert "other settings (draws)" in other.err
+
+
+def test_what_was_begun_is_not_lost(swarmssm, tmp_path):
+    (tmp_path / "sbc.jsonl").write_text('{"settings": {}}\n')
+    begun = swarmssm("calibrate", *HELD, *SMALL, "--datasets", 1, "--out", "sbc.nc")
+    assert begun.status == 2
+    assert "--resume" in begun.err
+    assert (tmp_path / "sbc.jsonl").read_text() == '{"settings": {}}\n'
+
+
+def test_interrupted_by_hand(swarmssm, tmp_path, monkeypatch):
+    from swarmssm.analysis import calibration
+
+    def stop(self, index):
+        if index == 1:
+            raise KeyboardInterrupt
+        names = ("truth", "rank", "mean", "sd", "low", "high")
+        return {**{name: {"gain": 1} for name in names}, "seconds": 0.1}
+
+    monkeypatch.setattr(calibration._Calibrate, "__call__", stop)
+    call = ("calibrate", *HELD, *SMALL, "--datasets", 2, "--out", "sbc.nc")
+    stopped = swarmssm(*call)
+    assert stopped.status == 1
+    assert "Go on with --resume" in stopped.err
+    assert len((tmp_path / "sbc.jsonl").read_text().splitlines()) == 2
+    assert not (tmp_path / "sbc.nc").exists()
+    monkeypatch.setattr(
+        calibration._Calibrate,
+        "__call__",
+        lambda self, index: stop(self, 0),
+    )
+    done = swarmssm(*call, "--resume")
+    assert done.status == 0, done.err
+    assert "1 of 2 data sets" in done.err
+
+
+def test_recovery_like_a_file(swarmssm, tmp_path):
+    made = swarmssm(
+        *("simulate", "boids", "--individuals", 3, "--steps", 12, "--trials", 2),
+        *("--observation-noise", 0.05, "--out", "mine.nc"),
+    )
+    assert made.status == 0, made.err
+    done = swarmssm(
+        *("calibrate", "mine.nc", "--study", "recovery", "--model", "linear", "--datasets", 1),
+        *("--factor", "frames=20", "--value", "cohesion_gain=0.5", "--value", "damping=0.5"),
+        *("--value", "alignment_gain=0.5", "--graph", "complete", "--out", "recovery.nc"),
+    )
+    assert done.status == 0, done.err
+    assert "frames 20" in done.out
+    assert "good enough at" in done.out
+    assert "With 12 frames of 3 individuals in 2 trials" in done.out
+    with xr.open_dataset(tmp_path / "recovery.nc") as found:
+        assert found["frames"].values.tolist() == [12, 20]
+        gain = found["truth"].sel(parameter="transition.cohesion_gain")
+        assert gain.values.tolist() == [[0.5], [0.5]]
+        # The noise is that which the file has, as far as so short tracks tell.
+        assert 0.02 < float(found["noise"][0]) < 0.12
+        assert found.attrs["tolerance"] == 0.1
+    assert (tmp_path / "recovery.png").exists()
+
+
+def test_like_a_run_at_what_it_found(swarmssm, tmp_path):
+    swarmssm(
+        *("simulate", "boids", "--individuals", 3, "--steps", 20, "--trials", 1),
+        *("--observation-noise", 0.05, "--out", "mine.nc"),
+    )
+    fitted = swarmssm(
+        *("fit", "mine.nc", "--model", "linear", "--out", "run", "--graph", "complete"),
+        *("--prior", "damping=LogNormal(-1,0.001)", "--set", "fractions=[1,0,0]"),
+    )
+    assert fitted.status == 0, fitted.err
+    done = swarmssm(
+        *("calibrate", "mine.nc", "--run", "run", "--study", "recovery", "--datasets", 1),
+        *("--factor", "noise=0.1", "--frames", 10, "--out", "recovery.nc"),
+    )
+    assert done.status == 0, done.err
+    with xr.open_dataset(tmp_path / "recovery.nc") as found:
+        told = json.loads(found.attrs["settings"])
+        assert told["model"] == "linear"
+        assert told["fit"]["priors"] == {"damping": "LogNormal(-1,0.001)"}
+        # exp(-1) = 0.3679, and a prior as narrow as this leaves nothing to learn.
+        damping = found["truth"].sel(parameter="transition.damping").values
+        assert damping == pytest.approx(0.3679, abs=0.002)
+    mixed = swarmssm("calibrate", "--run", "run", "--model", "boids", "--out", "other.nc")
+    assert mixed.status == 2
+    assert "--model: it is that of the run" in mixed.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--model", "graph-vae"], "no state-space model"),
+        (["--model", "graph-ssm"], "weights without a prior"),
+        (["--model", "nothing"], "nothing"),
+        (["--guide", "nothing"], "nothing"),
+        (["--datasets", "0"], "datasets"),
+        (["--frames", "-1"], "frames"),
+        (["--processes", "0"], "processes"),
+        (["--draws", "0"], "draws"),
+        (["--spread", "-1"], "--spread"),
+        (["--prior", "cohesion_gain"], "not of the form name=value"),
+        (["--prior", "charm=Normal(0,1)"], "charm"),
+        (["--set", "weather=1"], "weather"),
+        (["--figure", "sbc.txt"], ".png"),
+        (["--factor", "frames=10"], "--factor: it belongs to --study recovery only"),
+        (["--value", "cohesion_gain=1"], "--value: it belongs to --study recovery only"),
+        (["--study", "recovery", "--draws", "10"], "--draws: it belongs to --study calibration"),
+        (["--study", "recovery", "--factor", "weather=1"], "there is no weather"),
+        (["--study", "recovery", "--factor", "frames=many"], "frames=many"),
+        (["--study", "recovery", "--factor", "frames=10", "--factor", "noise"], "for none"),
+        (["--study", "recovery", "--value", "charm=1"], "charm"),
+        (["--study", "recovery", "--value", "damping=big"], "must be a number"),
+        (["--study", "recovery", "--noise", "0"], "noise"),
+        (["--study", "recovery", "--tolerance", "0"], "tolerance"),
+        (["--study", "nonsense"], "nonsense"),
+        (["--run", "nowhere"], "nowhere"),
+        (["nowhere.nc"], "nowhere.nc"),
+    ],
+)
+def test_a_mistake_is_named_and_leaves_nothing(swarmssm, tmp_path, arguments, sentence):
+    model = () if "--model" in arguments or "--run" in arguments else ("--model", "linear")
+    failed = swarmssm("calibrate", *model, "--out", "sbc.nc", *arguments)
+    assert failed.status == 2
+    assert sentence in failed.err
+    assert "Traceback" not in failed.err
+    assert not list(tmp_path.iterdir())
