@@ -1,10 +1,11 @@
 """Forces and kernels of simulated boids, from noisy positions alone, beside the true smoother.
 
-    python benchmarks/kernel_recovery.py [--frames 300] [--draws 10] [--folder runs]
+    python benchmarks/kernel_recovery.py [--frames 300] [--kernel-frames 150]
+        [--draws 10] [--folder kernel_recovery]
 
 20 flocks of 10 boids (the defaults of `swarmssm simulate boids`, tracking noise 0.03), 1000 frames
 each: 14 to train on, 3 to test on. Fitted are `boids` and `kernel` (with a repulsion), on the first
-`--frames` of each training flock. Reported are R^2 of the posterior-mean forces against the true
+frames of each training flock. Reported are R^2 of the posterior-mean forces against the true
 ones on the test flocks, beside those of the smoother that knows the true parameters, and how far
 the kernels are from the truth where pairs are. Fits that are in the folder are not done again.
 """
@@ -110,18 +111,22 @@ def main() -> None:
     """Fit what is missing, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--frames", type=int, default=300, help="of each training flock")
+    parser.add_argument("--kernel-frames", type=int, default=150, help="the same, for kernel")
     parser.add_argument("--draws", type=int, default=10)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--folder", type=Path, default=Path("kernel_recovery"))
     options = parser.parse_args()
     options.folder.mkdir(exist_ok=True)
     tracks = simulate_boids(10, 1000, 20, observation_noise=0.03, seed=options.seed)
-    training = tracks.isel(trial=slice(0, 14), time=slice(0, options.frames))
+    training = tracks.isel(trial=slice(0, 14))
+    numbers = {"boids": options.frames, "kernel": options.kernel_frames}
+    parts = {name: training.isel(time=slice(0, number)) for name, number in numbers.items()}
+    names = {name: f"{name}{number}" for name, number in numbers.items()}
     test = tracks.isel(trial=slice(17, 20))
     fits = {
-        "boids": fitted(f"boids{options.frames}", "boids", training, options.folder),
+        "boids": fitted(names["boids"], "boids", parts["boids"], options.folder),
         "kernel": fitted(
-            f"kernel{options.frames}", "kernel", training, options.folder, repulsion=True
+            names["kernel"], "kernel", parts["kernel"], options.folder, repulsion=True
         ),
     }
     known = fitted("known", "boids", training.isel(time=slice(0, 20)), options.folder, priors=TRUTH)
