@@ -103,7 +103,7 @@ def seen_graph(fit: Fit, frames: Frames) -> torch.Tensor:
         scaler = fit.preparation.scaler
         scaled = scaler.transform_tensor(frames.states)
         scaled = scaled.masked_fill(~frames.present.unsqueeze(-1), 0.0)
-        with model.fixed(frames.values):
+        with fit.given(frames.values):
             inputs = model.edges.complete(scaled, StepInputs(graph, None, frames.present))
             if inputs.adjacency is None:
                 return torch.zeros_like(graph)

@@ -89,7 +89,7 @@ def _linearized(
     )
     scaled = scaled.to(dtype)
     inputs = StepInputs(adjacency.to(dtype), None, present)
-    with torch.no_grad(), model.fixed(values), pyro.validation_enabled(False):
+    with torch.no_grad(), fit.given(values), pyro.validation_enabled(False):
         inputs = model.edges.complete(scaled, inputs)
         following = model.transition.linearize_velocity(scaled, inputs).jacobian.to(states.dtype)
     scale = states.new_tensor(scaler.scale)

@@ -225,7 +225,7 @@ def _own_kernels(
     angular = []
     with torch.no_grad():
         for values in _parameters(fit, paths, draws, seed):
-            with model.fixed(values):
+            with fit.given(values):
                 weight = _average_weight(transition, paths.states.shape[-2])
                 for name, value in transition.kernels(at).items():
                     factor = per if name == "alignment" else per * speed

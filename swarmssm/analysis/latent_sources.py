@@ -223,7 +223,7 @@ class View:
         values = guide.parameters_guide.median() if isinstance(guide, PathGuide) else {}
         given = StepInputs(self.prepared.adjacency.to(scaled.dtype), None, present)
         found = []
-        with model.fixed(values), torch.no_grad(), pyro.validation_enabled(False):
+        with self.fit.given(values), torch.no_grad(), pyro.validation_enabled(False):
             given = model.edges.complete(scaled, given)
             if hasattr(transition, "parts"):
                 parts = transition.parts(scaled, given).transpose(-3, -2).flatten(-2)

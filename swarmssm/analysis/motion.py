@@ -4,8 +4,9 @@ All that this folder says of forces, kernels and influence is computed from thes
 a model: what does it take the states to have been, and what does it expect of each next.
 """
 
+import contextlib
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import pyro
@@ -18,6 +19,7 @@ from swarmssm.inference import Fit
 from swarmssm.inference.guides import OneStepGuide, PathGuide
 from swarmssm.inference.prediction import seeded
 from swarmssm.models import OneStepModel, StateSpaceModel, StepInputs
+from swarmssm.models.parts import own_parameters
 from swarmssm.scaling import Scaler
 
 __all__ = ["Motion", "PosteriorPaths", "motion_of", "posterior_paths"]
@@ -221,7 +223,7 @@ class _StateSpaceMotion(Motion):
     ) -> torch.Tensor:
         """Return the expected acceleration; see :meth:`Motion.acceleration`."""
         scaled, inputs = self._scaled(states, adjacency, present)
-        with self.model.fixed(self._values(values)), pyro.validation_enabled(False):
+        with self._given(values), pyro.validation_enabled(False):
             following = self.model.step(scaled, inputs).mean
         moved = self.scaler.inverse_tensor(following.to(states.dtype))
         change = moved[..., self.space :] - states[..., self.space :]
@@ -238,7 +240,7 @@ class _StateSpaceMotion(Motion):
         if not self.terms:
             return super().forces(states, adjacency, present, values)
         scaled, inputs = self._scaled(states, adjacency, present)
-        with self.model.fixed(self._values(values)), pyro.validation_enabled(False):
+        with self._given(values), pyro.validation_enabled(False):
             inputs = self.model.edges.complete(scaled, inputs)
             found: torch.Tensor = self.model.transition.forces(scaled, inputs).to(states.dtype)
         found = found * states.new_tensor(self.scaler.scale)[self.space :]
@@ -246,8 +248,12 @@ class _StateSpaceMotion(Motion):
             found = found / self.dt
         return found if present is None else found * present[..., None, :, None]
 
-    def _values(self, values: Values | None) -> Values:
-        return self.middle if values is None else values
+    @contextlib.contextmanager
+    def _given(self, values: Values | None) -> Iterator[None]:
+        """Let the parameters have given values, or the middle ones."""
+        held = self.middle if values is None else values
+        with own_parameters(self.model), self.model.fixed(held):
+            yield
 
     def _scaled(
         self, states: torch.Tensor, adjacency: Graph, present: torch.Tensor | None
@@ -280,7 +286,7 @@ class _OneStepMotion(Motion):
         if present is not None:
             scaled = scaled.masked_fill(~present.unsqueeze(-1), 0.0)
         graph = dense(adjacency, scaled.dtype)
-        with pyro.validation_enabled(False):
+        with own_parameters(self.model, self.guide), pyro.validation_enabled(False):
             latent = self.guide.encode(scaled, graph.to(scaled.dtype)).mean
             following = self.model.decode(latent).states.mean
         moved = self.scaler.inverse_tensor(following.to(states.dtype))

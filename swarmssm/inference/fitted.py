@@ -1,5 +1,7 @@
 """A fitted model: its posterior, forecasts and free runs, with labels."""
 
+import contextlib
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,6 +25,7 @@ from swarmssm.inference.prediction import (
 from swarmssm.inference.run_folder import Run, load_run, save_run
 from swarmssm.inference.starting import fullest_frames, last_frames
 from swarmssm.models import OneStepModel, StateSpaceModel
+from swarmssm.models.parts import own_parameters
 from swarmssm.splits import take
 from swarmssm.tracks import MAX_COORDINATE, Array, make_tracks
 
@@ -58,6 +61,27 @@ class Fit(Run):
         if not segments:
             raise InputError(f"part: the {name} part is empty; fit with other fractions.")
         return take(tracks, segments)
+
+    @contextlib.contextmanager
+    def given(self, values: Mapping[str, torch.Tensor]) -> Iterator[None]:
+        """Let the model's parameters have given values for a while.
+
+        Parameters
+        ----------
+        values
+            Of those that have a prior, by full name, such as one draw of :meth:`parameters`; all
+            others are as they were fitted.
+
+        Raises
+        ------
+        InputError
+            If there is no parameter of such a name with a prior, or the model is no
+            :class:`~swarmssm.models.StateSpaceModel`.
+        """
+        if not isinstance(self.model, StateSpaceModel):
+            raise InputError(f"model: {self.settings.model} has no parameters with a prior.")
+        with own_parameters(self.model), self.model.fixed(values):
+            yield
 
     def prepare(self, tracks: xr.Dataset) -> Prepared:
         """Return tracks as the model sees them."""

@@ -1,11 +1,36 @@
 """The base of the parts of models and of guides."""
 
+import contextlib
+from collections.abc import Iterator
 from typing import Any
 
 import pyro
 from pyro.nn import PyroModule
+from torch import nn
 
-__all__ = ["Part"]
+__all__ = ["Part", "own_parameters"]
+
+
+@contextlib.contextmanager
+def own_parameters(*modules: nn.Module) -> Iterator[None]:
+    """Let modules have their own parameters for a while, and not those of Pyro's store.
+
+    Unless told otherwise Pyro keeps parameters by name in one store for the whole process, which
+    it believes rather than the module: of two fitted models, the second would have those of the
+    first. Training loops of a user's own may rest on the store, so that it is not put off for good.
+
+    Parameters
+    ----------
+    modules
+        Whole models and guides, those that are Pyro's and any others.
+    """
+    for module in modules:
+        context = getattr(module, "_pyro_context", None)
+        if context is not None and not hasattr(context, "param_state"):
+            # As Pyro makes it where a module is born under the setting.
+            context.param_state = {"params": {}, "constraints": {}}
+    with pyro.settings.context(module_local_params=True):
+        yield
 
 
 class Part(PyroModule):  # type: ignore[misc]

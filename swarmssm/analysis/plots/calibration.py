@@ -75,7 +75,7 @@ def plot_rank_histograms(
         one = calibration.sel(parameter=name)
         good = bool(one["passes"])
         ax.bar(places, one["histogram"], width=0.92 * width, color=_colour(good))
-        ax.stairs(high, edges, baseline=low, fill=True, color=BAND, alpha=0.28)
+        ax.stairs(high, edges, baseline=low, fill=True, color=BAND, alpha=0.28, zorder=0)
         ax.plot(places, calibration["expected"], color=BAND, linewidth=1.0)
         mark = "" if good else " (outside)"
         ax.set_title(short_name(name) + mark, fontsize=9, parse_math=False)

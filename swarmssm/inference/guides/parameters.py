@@ -10,6 +10,7 @@ from pyro.nn import PyroModule
 
 from swarmssm.models import StateSpaceModel
 from swarmssm.models.parameters import priors_of
+from swarmssm.models.parts import own_parameters
 
 __all__ = ["PARAMETER_GUIDES", "GlobalGuide"]
 
@@ -76,6 +77,6 @@ class GlobalGuide(PyroModule):  # type: ignore[misc]
         """Draw values, ``(draw, ...)`` each, by full name."""
         if not self.names:
             return {}
-        with torch.no_grad(), pyro.plate("draws", draws, dim=-1):
+        with own_parameters(self), torch.no_grad(), pyro.plate("draws", draws, dim=-1):
             drawn = self.auto()
         return {name: drawn[name] for name in self.names}

@@ -1,15 +1,21 @@
 """What every fitted model can say of frames it has not seen."""
 
 import contextlib
+import functools
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any, ParamSpec, TypeVar
 
 import torch
 
 from swarmssm.inference.data import Prepared
+from swarmssm.models.parts import own_parameters
 
-__all__ = ["Beginning", "Predictor", "Trajectory", "seeded"]
+__all__ = ["Beginning", "Kernels", "Predictor", "Trajectory", "owning", "seeded"]
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
 @dataclass(frozen=True)
@@ -175,6 +181,18 @@ class Predictor(ABC):
         ``None`` for a model that has no distribution of one step to tell.
         """
         return None
+
+
+def owning(method: Callable[P, R]) -> Callable[P, R]:
+    """Let a method of a predictor use the parameters of its own model and guide."""
+
+    @functools.wraps(method)
+    def run(*args: P.args, **kwargs: P.kwargs) -> R:
+        predictor: Any = args[0]
+        with own_parameters(predictor.model, predictor.guide):
+            return method(*args, **kwargs)
+
+    return run
 
 
 @contextlib.contextmanager

@@ -10,7 +10,7 @@ from swarmssm.errors import InputError
 from swarmssm.graphs import GraphRule
 from swarmssm.inference.data import Prepared
 from swarmssm.inference.guides import OneStepGuide
-from swarmssm.inference.prediction.base import Beginning, Predictor, Trajectory
+from swarmssm.inference.prediction.base import Beginning, Predictor, Trajectory, owning
 from swarmssm.inference.starting import carry_on
 from swarmssm.models import OneStepModel
 from swarmssm.scaling import Scaler
@@ -50,6 +50,7 @@ class OneStepPredictor(Predictor):
                 "choose edges='decoder'."
             )
 
+    @owning
     def posterior(
         self, prepared: Prepared, draws: int
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
@@ -67,6 +68,7 @@ class OneStepPredictor(Predictor):
             states = states.masked_fill(hidden, torch.nan)
         return mean.masked_fill(hidden, torch.nan), sd.masked_fill(hidden, torch.nan), states
 
+    @owning
     def paths(
         self, prepared: Prepared, draws: int
     ) -> tuple[torch.Tensor, tuple[Mapping[str, torch.Tensor], ...]]:
@@ -74,6 +76,7 @@ class OneStepPredictor(Predictor):
         exact = prepared.observations.masked_fill(~prepared.mask.unsqueeze(-1), torch.nan)
         return exact.expand(draws, *exact.shape), ({},) * draws
 
+    @owning
     def one_step(self, prepared: Prepared, *, sample: bool) -> tuple[torch.Tensor, torch.Tensor]:
         """Encode each frame and decode the next; see :meth:`Predictor.one_step`."""
         absent = ~prepared.mask
@@ -91,6 +94,7 @@ class OneStepPredictor(Predictor):
             edges.masked_fill(alone, torch.nan),
         )
 
+    @owning
     def begin(
         self,
         prepared: Prepared,
@@ -117,12 +121,14 @@ class OneStepPredictor(Predictor):
             own.masked_fill(absent, torch.nan).expand(*shape, *own.shape),
         )
 
+    @owning
     def begin_at(self, states: torch.Tensor, adjacency: torch.Tensor) -> Beginning:
         """Return a beginning at given states, all present."""
         scaled = self.scaler.transform_tensor(states).to(torch.float32)
         present = torch.ones(states.shape[:-1], dtype=torch.bool)
         return Beginning(scaled, adjacency, present, states)
 
+    @owning
     @torch.no_grad()
     def run(self, beginning: Beginning, steps: int, *, sample: bool) -> Trajectory:
         """Go on freely; see :meth:`Predictor.run`.

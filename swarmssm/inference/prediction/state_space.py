@@ -13,7 +13,7 @@ from swarmssm.graphs import GraphRule, dense
 from swarmssm.inference.data import Prepared, frames_of
 from swarmssm.inference.guides import LinearizedGuide, PathGuide
 from swarmssm.inference.guides.base import MEAN_DRAWS
-from swarmssm.inference.prediction.base import Beginning, Kernels, Predictor, Trajectory
+from swarmssm.inference.prediction.base import Beginning, Kernels, Predictor, Trajectory, owning
 from swarmssm.inference.starting import MAX_CARRY
 from swarmssm.models import ObservedEdges, StateSpaceModel, StepInputs, SwarmBatch
 from swarmssm.models.parameters import priors_of
@@ -52,6 +52,7 @@ class StateSpacePredictor(Predictor):
     rule: GraphRule | None
     window: int
 
+    @owning
     def posterior(
         self, prepared: Prepared, draws: int
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
@@ -76,6 +77,7 @@ class StateSpacePredictor(Predictor):
         whole = torch.cat(states, 2) if draws else None
         return torch.cat(means, 1), torch.cat(sds, 1), whole
 
+    @owning
     @torch.no_grad()
     def mean_states(self, prepared: Prepared) -> torch.Tensor:
         """Return the mean of whole paths, given all frames, in the middle of the parameters.
@@ -96,6 +98,7 @@ class StateSpacePredictor(Predictor):
                 pieces.append(mean[:, kept])
         return torch.cat(pieces, 1)
 
+    @owning
     @torch.no_grad()
     def paths(self, prepared: Prepared, draws: int) -> tuple[torch.Tensor, tuple[Values, ...]]:
         """Draw parameters, and whole trials with them; see :meth:`Predictor.paths`.
@@ -149,6 +152,7 @@ class StateSpacePredictor(Predictor):
             batch = frames_of(prepared, trials, torch.full_like(trials, start), stop - start)
             yield batch, slice(first - start, last - start)
 
+    @owning
     def one_step(self, prepared: Prepared, *, sample: bool) -> tuple[torch.Tensor, torch.Tensor]:
         """Filter up to each frame and take one step; see :meth:`Predictor.one_step`."""
         num_trials, num_times, individuals = prepared.mask.shape
@@ -192,6 +196,7 @@ class StateSpacePredictor(Predictor):
         graph = dense(batch.adjacency, mean.dtype).flatten(0, 1)
         return self._beginning(mean.flatten(0, 1), present, graph)
 
+    @owning
     @torch.no_grad()
     def begin(
         self,
@@ -229,6 +234,7 @@ class StateSpacePredictor(Predictor):
         own = own.masked_fill(~present.unsqueeze(-1), torch.nan)
         return Beginning(states, graph, present, own, values)
 
+    @owning
     def begin_at(self, states: torch.Tensor, adjacency: torch.Tensor) -> Beginning:
         """Return a beginning at given states, all present."""
         scaled = self.scaler.transform_tensor(states).to(torch.float32)
@@ -295,6 +301,7 @@ class StateSpacePredictor(Predictor):
         """Return the parameters in the middle of their posterior."""
         return self.guide.parameters_guide.median() if isinstance(self.guide, PathGuide) else {}
 
+    @owning
     @torch.no_grad()
     def run(self, beginning: Beginning, steps: int, *, sample: bool) -> Trajectory:
         """Let the transition run; see :meth:`Predictor.run`.
@@ -314,6 +321,7 @@ class StateSpacePredictor(Predictor):
             )
         )
 
+    @owning
     @torch.no_grad()
     def kernels(self, beginning: Beginning, steps: int) -> Kernels:
         """Draw futures, and return what each expects; see :meth:`Predictor.kernels`."""
