@@ -33,7 +33,8 @@ TRUTH = {
     "center": [0.0, 0.0],
     "min_speed": 0.6,
     "max_speed": 1.2,
-    "process_noise": 0.02,
+    # Known as well; a fit wants something to infer.
+    "process_noise": "LogNormal(-3.912023, 0.0001)",
     "noise": 0.03,
 }
 

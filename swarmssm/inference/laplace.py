@@ -36,6 +36,9 @@ STEPS = 60
 DIFFERENCE = 1e-3
 #: Least curvature that is believed: a standard deviation of 10 of those of the prior.
 LEAST_CURVATURE = 1e-2
+#: Moves of the normal to the middle of the posterior, at most, and what ends them: a step and a
+#: change of width that are less than so many standard deviations.
+REFINEMENTS, REFINED = 3, 0.1
 #: Draws from which the spread of the prior is taken.
 PRIOR_DRAWS = 200
 #: The objective where a filter breaks down, so that a line search turns back.
@@ -51,8 +54,7 @@ class Laplace:
     names
         Full names of the parameters with a prior, in the order of ``loc``.
     loc
-        Most probable values, unconstrained and in one vector: the mode of the density over the
-        unconstrained scale.
+        Its mean, unconstrained and in one vector.
     scale_tril
         Lower Cholesky factor of the covariance.
     values
@@ -60,7 +62,8 @@ class Laplace:
     log_joint
         :math:`\log p(x, \theta)` there, with the Jacobian of the unconstrained scale.
     log_evidence
-        :math:`\log p(x)` by Laplace's method, in nats, windows weighted.
+        The log evidence by Laplace's method, or if the normal was refined the lower bound that it
+        makes, in nats, windows weighted.
     points
         Where the model was linearised at last; ``None`` if it was linearised as the filter went.
     rounds
@@ -103,15 +106,25 @@ def laplace(
     layout: Layout = "auto",
     given: int = 0,
     start: Mapping[str, Tensor] | None = None,
+    refine: bool = True,
     callback: Callable[[int, float], None] | None = None,
 ) -> Laplace:
-    """Fit all parameters of a model by Laplace's method.
+    r"""Fit all parameters of a model by Laplace's method, and move the normal to where it fits.
 
     The evidence of the windows times the priors is maximised by L-BFGS on the unconstrained scale.
     With ``method="iterated"`` the points of linearisation are held meanwhile, and moved to the
     new posterior path afterwards, until neither moves. The covariance is the inverse of the
     Hessian by central differences of the gradient; curvatures that are not positive are
     replaced by their size, and by that of ten standard deviations of the prior where there is none.
+
+    The mode of a skewed posterior is not its middle. A refined normal :math:`q = N(m, S)` is that
+    of the smallest divergence :math:`KL(q \,\|\, p)`, at which
+
+    .. math:: E_q[\nabla \log p] = 0, \qquad S^{-1} = -E_q[\nabla^2 \log p];
+
+    both expectations are taken by the rule of third degree at :math:`m \pm \sqrt 3\, s_k`, with
+    :math:`s_k` the columns of a root of S, at the held points of linearisation. Of a normal
+    posterior it is the same as Laplace's.
 
     Parameters that the model learns without prior (:class:`torch.nn.Parameter`) are maximised over
     together with the others and left at the maximum; the covariance is that at their values.
@@ -126,6 +139,8 @@ def laplace(
         As in :func:`swarmssm.inference.filtering.collapsed_evidence`.
     start
         Values to begin with, full name -> value; those left out begin at the prior's median.
+    refine
+        Whether the normal is moved so; else it stays about the mode.
     callback
         Called after each evaluation with its number and the negative log-density.
 
@@ -135,11 +150,16 @@ def laplace(
         If the model has nothing to fit, or states that are not hidden.
     WorkError
         If no maximum is found: the evidence breaks down or is not finite where it begins.
+
+    References
+    ----------
+    M. Opper and C. Archambeau (2009), The variational Gaussian approximation revisited, Neural
+    Computation 21.
     """
     if model.emission is None:
         raise InputError("model: its states are observed exactly; there is nothing to sum out.")
     with quiet_pyro():
-        problem = _Problem(model, batch, method, layout, given, start or {}, callback)
+        problem = _Problem(model, batch, method, layout, given, start or {}, refine, callback)
         return problem.solve()
 
 
@@ -154,13 +174,14 @@ class _Problem:
         layout: Layout,
         given: int,
         start: Mapping[str, Tensor],
+        refine: bool,
         callback: Callable[[int, float], None] | None,
     ) -> None:
         self.original = model
         self.model = copy.deepcopy(model).double()
         self.batch = _as_double(batch)
         self.method, self.layout, self.callback = method, layout, callback
-        self.given = given
+        self.given, self.refine = given, refine
         guide = GlobalGuide(self.model, "multivariate")
         self.names = tuple(guide.names)
         middle = guide.median()
@@ -304,7 +325,7 @@ class _Problem:
                 break
             if rounds == 1:
                 unit = self._unit(self._hessian(place, forward=True))
-        return self._finish(place, rounds)
+        return self._finish(place, unit, rounds)
 
     def _maximise(self, place: Any, unit: Any, steps: int) -> tuple[Any, float]:
         """Return how far the maximum at the held points is in the given unit, and how high."""
@@ -339,10 +360,20 @@ class _Problem:
         unit[: self.number, : self.number] = np.linalg.cholesky(_inverse(hessian))
         return unit
 
-    def _finish(self, place: Any, rounds: int) -> Laplace:
-        """Return the normal about the maximum, and leave learned parameters there."""
-        value, _ = self(place)
-        factor = np.linalg.cholesky(_inverse(self._hessian(place)))
+    def _finish(self, place: Any, unit: Any, rounds: int) -> Laplace:
+        """Return the normal about the maximum or where it fits best, and leave learned parameters
+        there.
+        """
+        found = None
+        if self.refine and self.number:
+            found = self._refined(place, unit[: self.number, : self.number])
+        if found is None:
+            value = self(place)[0]
+            factor = np.linalg.cholesky(_inverse(self._hessian(place)))
+            expected = value + 0.5 * self.number
+        else:
+            place, factor, expected = found
+            value = self(place)[0]
         self._learn(place)
         mine = [p for p in self.original.parameters() if p.requires_grad]
         with torch.no_grad():
@@ -350,17 +381,51 @@ class _Problem:
                 parameter.copy_(learned)
             values, _ = self.values(self._free(place))
         factor = factor * self.scale[: self.number, None]
-        volume = np.log(np.diag(factor)).sum() + 0.5 * self.number * math.log(2.0 * math.pi)
+        # The entropy of the normal; of Laplace's, the expectation is half a nat a number.
+        entropy = np.log(np.diag(factor)).sum()
+        entropy += 0.5 * self.number * (1.0 + math.log(2.0 * math.pi))
         return Laplace(
             self.names,
             self._free(place),
             torch.from_numpy(factor),
             values,
             -value,
-            -value + float(volume),
+            float(entropy) - expected,
             self.points,
             rounds,
         )
+
+    def _refined(self, place: Any, factor: Any) -> tuple[Any, Any, float] | None:
+        """Return mean, root of the covariance and expected negative log-density of the normal of
+        the smallest divergence; ``None`` where the density breaks down within it.
+        """
+        number, reach = self.number, math.sqrt(3.0)
+        for _ in range(REFINEMENTS):
+            value, slope = self(place)
+            expected, gradient = value, slope[:number].copy()
+            bends = np.zeros((number, number))
+            for k in range(number):
+                step = np.zeros_like(place)
+                step[:number] = reach * factor[:, k]
+                ahead, behind = self(place + step), self(place - step)
+                if max(ahead[0], behind[0]) >= OUT_OF_BOUNDS:
+                    return None
+                expected += (ahead[0] + behind[0] - 2.0 * value) / 6.0
+                gradient += (ahead[1] + behind[1] - 2.0 * slope)[:number] / 6.0
+                bends[:, k] = factor.T @ (ahead[1] - behind[1])[:number] / (2.0 * reach)
+            # Now in units of the factor, in which a settled normal has the curvature 1.
+            curvature = _inverse(_inverse(0.5 * (bends + bends.T)))
+            shift = -np.linalg.solve(curvature, factor.T @ gradient)
+            # Where the normal is far too wide or too narrow still, a step might be too long.
+            shift *= min(1.0, 1.0 / max(np.abs(shift).max(), 1e-300))
+            place = place.copy()
+            place[:number] += factor @ shift
+            factor = factor @ np.linalg.cholesky(np.linalg.inv(curvature))
+            factor = np.linalg.cholesky(factor @ factor.T)
+            width = np.abs(np.linalg.eigvalsh(curvature) - 1.0).max()
+            if np.abs(shift).max() < REFINED and width < REFINED:
+                break
+        return place, factor, expected
 
 
 def _inverse(hessian: Any) -> Any:
