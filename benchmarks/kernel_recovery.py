@@ -87,7 +87,7 @@ def kernel_scores(fit: Fit, tracks: xr.Dataset, draws: int) -> None:
     found: dict[str, list[np.ndarray]] = {}
     for draw in range(draws):
         values = {
-            str(name): torch.from_numpy(drawn[name].to_numpy()[draw]) for name in drawn.data_vars
+            str(name): torch.as_tensor(drawn[name].to_numpy()[draw]) for name in drawn.data_vars
         }
         with fit.given(values), torch.no_grad():
             for name, curve in fit.model.transition.kernels(grid.float()).items():
@@ -127,13 +127,18 @@ def main() -> None:
     fits = {
         "boids": fitted(names["boids"], "boids", parts["boids"], options.folder),
         "kernel": fitted(
-            names["kernel"], "kernel", parts["kernel"], options.folder, repulsion=True
+            names["kernel"],
+            "kernel",
+            parts["kernel"],
+            options.folder,
+            repulsion=True,
+            noise="multiplicative",
         ),
     }
     known = fitted("known", "boids", training.isel(time=slice(0, 20)), options.folder, priors=TRUTH)
     print("\nR^2 of forces on the test flocks")
     best = force_scores(known, test, options.draws)
-    print("  true smoother:", {k: round(v, 4) for k, v in best.items()})
+    print("  true smoother:", {k: f"{v:.4f}" for k, v in best.items()})
     for name, fit in fits.items():
         scores = force_scores(fit, test, options.draws)
         share = {k: f"{v:.4f} ({v / best[k]:.3f} of it)" for k, v in scores.items()}

@@ -110,7 +110,7 @@ def _of_forces(found: xr.Dataset) -> Iterator[Finding]:
             r2 = float(one["truth_r_squared"])
             if math.isfinite(r2):
                 beside = (
-                    f"truth: R² {format_number(r2, 2)}, "
+                    f"truth: R² {r2:.3f}, "
                     f"{100 * float(one['truth_coverage']):.0f} % within intervals"
                 )
         yield Finding(
@@ -200,10 +200,10 @@ def _of_latents(found: xr.Dataset) -> Iterator[Finding]:
         beside = f"p = {format_number(float(own['source_p']), 2)}"
         fresh = own["untrained_r2"].to_numpy()
         if np.isfinite(fresh).any():
-            beside += f"; untrained {format_number(float(np.nanmean(fresh)), 2)}"
+            beside += f"; untrained {float(np.nanmean(fresh)):.2f}"
         if "observed terms" in found["source"].to_numpy():
             plain = linear["source_vector_r2"].sel(source="observed terms", term=term)
-            beside += f"; plain from observations {format_number(float(plain), 2)}"
+            beside += f"; plain from observations {float(plain):.2f}"
         yield Finding(
             "latents",
             f"R² of {term} from all latents",

@@ -9,6 +9,7 @@ import typer
 
 from swarmssm import __version__
 from swarmssm.cli.analyzing import analyze
+from swarmssm.cli.calibrating import calibrate
 from swarmssm.cli.demo import demo
 from swarmssm.cli.fitting import fit
 from swarmssm.cli.running import evaluate, forecast, report, rollout
@@ -34,6 +35,7 @@ app.command("evaluate")(evaluate)
 app.command("forecast")(forecast)
 app.command("rollout")(rollout)
 app.command("analyze")(analyze)
+app.command("calibrate")(calibrate)
 app.command("report")(report)
 
 

@@ -1,6 +1,8 @@
 """All analyses of a fit in one go: what is there, what is left out, and the file."""
 
+import html
 import math
+import re
 import sys
 
 import numpy as np
@@ -189,9 +191,6 @@ def test_findings_hold_the_numbers_of_the_datasets(analysis):
 def test_the_page_is_self_contained_and_says_each_sentence(analysis, quick_fit, boids, tmp_path):
     path = report_analysis(analysis, quick_fit, boids, tmp_path / "a.html")
     text = path.read_text(encoding="utf-8")
-    import html
-    import re
-
     for address in re.findall(r'(?:src|href)="([^"]*)"', text):
         assert address.startswith(("#", "data:image/png;base64,")), address
     for address in re.findall(r"url\(([^)]*)\)", text):

@@ -5,11 +5,14 @@ import itertools
 import re
 from dataclasses import replace
 
+import pandas as pd
 import pytest
 
+from swarmssm import inference
 from swarmssm.analysis import (
     build_report,
     evaluate,
+    horizon_table,
     plots,
     report_many,
     report_run,
@@ -18,6 +21,7 @@ from swarmssm.analysis import (
 from swarmssm.analysis.report import section_of, sections
 from swarmssm.analysis.report.embed import as_svg
 from swarmssm.errors import InputError
+from swarmssm.inference import Fit
 
 VOID = {"area", "br", "col", "hr", "img", "input", "link", "meta", "source", "wbr"}
 FEW = {"horizons": (1, 5), "free_run_steps": 10, "draws": 2, "starts": 2, "origins": 10}
@@ -142,7 +146,29 @@ def check_headings(page):
 def test_tables_name_their_rows_and_columns(page):
     for attrs in page.named("th"):
         assert attrs["scope"] in ("row", "col")
-    assert len(page.named("caption")) == len(page.named("table")) == 12
+    assert len(page.named("caption")) == len(page.named("table")) == 14
+
+
+def test_it_has_the_log_scores_and_the_posterior_of_named_parameters(
+    page, evaluation, boids, monkeypatch
+):
+    row = horizon_table(evaluation, "log_score")[0]
+    assert set(row.values()) - {"graph-vae"} <= set(page.words().split())
+    assert "Log score of positions" in page.words()
+    assert "Posterior of the named parameters, with" not in page.words()
+    gains = pd.DataFrame(
+        {"mean": 0.4321, "sd": 0.01, "low": 0.41, "high": 0.45},
+        index=["cohesion_gain", *(f"weight[{i}]" for i in range(30))],
+    )
+    monkeypatch.setattr(sections, "_pictures", lambda anchor, evaluation: [])
+    monkeypatch.setattr(Fit, "parameter_table", lambda fit: gains)
+    fit = inference.fit("graph-vae", "encoder", boids, epochs=1, seed=0)
+    words = Page(build_report([section_of("Run", fit, boids, evaluation)])).words()
+    assert "Posterior of the named parameters, with" in words
+    assert "cohesion_gain" in words
+    assert "0.432" in words
+    assert words.count("weight: 30 numbers") == 1
+    assert "weight[3]" not in words
 
 
 def test_figures_take_the_ink_of_the_page(page_text):

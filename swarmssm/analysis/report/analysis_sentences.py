@@ -7,6 +7,9 @@ from swarmssm.analysis.table import format_number as number
 
 __all__ = ["in_a_frame", "modulation", "over_time", "pairs", "rotated", "single_latents"]
 
+#: A p-value up to this counts, as in the figure.
+LEVEL = 0.05
+
 
 def over_time(forces: xr.Dataset) -> str:
     """Say between what the strength of the forces goes, and how wide the bands are."""
@@ -81,19 +84,21 @@ def modulation(kernels: xr.Dataset) -> str:
 
 def single_latents(alignment: xr.Dataset) -> str:
     """Say which latent tells most, and how many tell more than chance."""
-    r2 = alignment["latent_r2"].sel(probe="linear").stack(cell=("latent", "term", "space"))
-    p = alignment["latent_family_p"].sel(probe="linear").stack(cell=("latent", "term", "space"))
-    if not r2.notnull().any():
+    linear = alignment.sel(probe="linear")
+    over = ("latent", "term", "space")
+    r2 = linear["latent_r2"].transpose(*over).to_numpy()
+    p = linear["latent_family_p"].transpose(*over).to_numpy()
+    if not np.isfinite(r2).any():
         return "No force varied, so that there was nothing to read."
-    best = r2.isel(cell=int(r2.fillna(-np.inf).argmax("cell")))
-    latent, term, space = best["cell"].item()
-    level = 0.05
-    sure = (p < level).unstack("cell").any(("term", "space"))
-    chance = float(p.sel(cell=(latent, term, space)))
+    best = np.unravel_index(int(np.nanargmax(r2)), r2.shape)
+    latent, term, space = (
+        str(alignment[name].to_numpy()[place]) for name, place in zip(over, best, strict=True)
+    )
+    sure = int((p <= LEVEL).any((1, 2)).sum())
     return (
-        f"The one that tells most by itself is {latent}, with R² {float(best):.2f} of {term} "
-        f"{space} (p = {number(chance, 2)} for all cells at once); "
-        f"{int(sure.sum())} of {alignment.sizes['latent']} latents tell something beyond chance, "
+        f"The one that tells most by itself is {latent}, with R² {r2[best]:.2f} of {term} "
+        f"{space} (p = {number(float(p[best]), 2)} for all cells at once); "
+        f"{sure} of {alignment.sizes['latent']} latents tell something beyond chance, "
         "marked by a dot. A latent that tells a force need not be that force: it may be anything "
         "that goes with it."
     )

@@ -65,4 +65,16 @@ def as_svg(figure: Figure, name: str, alt: str) -> Markup:
     # Names are made unlike those of other figures; a figure's own do not clash.
     rest = re.sub(r'\bid="', f'id="{name}-', rest)
     rest = re.sub(r'(href="#|url\(#)', rf"\g<1>{name}-", rest)
-    return Markup(head + rest)
+    return Markup(head + _each_once(rest))
+
+
+def _each_once(text: str) -> str:
+    """Leave away a name where it stands again: equal pictures get equal names."""
+    seen: set[str] = set()
+
+    def first(found: re.Match[str]) -> str:
+        again = found[1] in seen
+        seen.add(found[1])
+        return "" if again else found[0]
+
+    return re.sub(r'\s\bid="([^"]*)"', first, text)

@@ -46,7 +46,7 @@ def kernel(
     influence: Influence | None = None,
     responsiveness: bool = False,
     aggregation: Aggregation = "mean",
-    noise: Noise = "multiplicative",
+    noise: Noise = "additive",
     walls: bool = True,
     limits: bool = True,
     relaxation: bool = False,
@@ -94,8 +94,11 @@ def kernel(
         Whether each is moved with a weight of its own, likewise.
     aggregation
         See :class:`~swarmssm.models.transitions.KernelTransition`.
-    noise, walls, limits, relaxation, radius, edges, observed, priors
-        As in :func:`swarmssm.models.ready.boids`.
+    noise
+        As in :func:`swarmssm.models.ready.boids`, but additive unless told: animals stand still now
+        and then, and a noise that is in proportion to their speed would have none of that.
+    walls, limits, relaxation, radius, edges, observed, priors
+        As there.
 
     Raises
     ------
