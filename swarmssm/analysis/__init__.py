@@ -1,21 +1,77 @@
-"""Labelled posteriors, forces, checks, comparison, plots and the report."""
+"""Labelled posteriors, forces, checks, comparison, plots and the reports.
 
+Of several functions of one name - each analysis has a ``sentence`` of its own - the module says
+which is meant.
+"""
+
+from swarmssm.analysis.analyze import analyze
+from swarmssm.analysis.analyzed import Analysis
+from swarmssm.analysis.calibration import simulation_based_calibration
 from swarmssm.analysis.evaluate import evaluate
 from swarmssm.analysis.evaluation import Evaluation
-from swarmssm.analysis.report import build_report, report_many, report_run, write_report
+from swarmssm.analysis.findings import Finding, findings, findings_table
+from swarmssm.analysis.forces import (
+    force_agreement,
+    force_map,
+    force_maps,
+    force_summary,
+    posterior_forces,
+    raw_force_map,
+    true_forces,
+)
+from swarmssm.analysis.influence import find_leader, find_loners, leadership_delays
+from swarmssm.analysis.kernels import interaction_kernels, kernel_agreement, true_kernels
+from swarmssm.analysis.latents import latent_force_alignment
+from swarmssm.analysis.motion import Motion, PosteriorPaths, motion_of, posterior_paths
+from swarmssm.analysis.recovery import recovery_study
+from swarmssm.analysis.report import (
+    analysis_page,
+    build_report,
+    report_analysis,
+    report_many,
+    report_run,
+    write_report,
+)
 from swarmssm.analysis.table import edge_table, format_number, horizon_table, scores_table
 from swarmssm.analysis.thesis import FOOTNOTE as THESIS_FOOTNOTE
 
 __all__ = [
     "THESIS_FOOTNOTE",
+    "Analysis",
     "Evaluation",
+    "Finding",
+    "Motion",
+    "PosteriorPaths",
+    "analysis_page",
+    "analyze",
     "build_report",
     "edge_table",
     "evaluate",
+    "find_leader",
+    "find_loners",
+    "findings",
+    "findings_table",
+    "force_agreement",
+    "force_map",
+    "force_maps",
+    "force_summary",
     "format_number",
     "horizon_table",
+    "interaction_kernels",
+    "kernel_agreement",
+    "latent_force_alignment",
+    "leadership_delays",
+    "motion_of",
+    "posterior_forces",
+    "posterior_paths",
+    "raw_force_map",
+    "recovery_study",
+    "report_analysis",
     "report_many",
     "report_run",
     "scores_table",
+    "simulation_based_calibration",
+    "true_forces",
+    "true_kernels",
     "write_report",
 ]

@@ -12,19 +12,19 @@ import xarray as xr
 
 import swarmssm
 from swarmssm.analysis.analyzed import ANALYSES, Analysis
-from swarmssm.analysis.force_maps import force_maps
-from swarmssm.analysis.force_maps import sentence as maps_sentence
-from swarmssm.analysis.force_truth import force_agreement, true_forces
-from swarmssm.analysis.forces import TERMS, force_summary, posterior_forces
-from swarmssm.analysis.forces import sentence as forces_sentence
-from swarmssm.analysis.influence import influence
-from swarmssm.analysis.influence import sentence as influence_sentence
-from swarmssm.analysis.kernel_truth import kernel_agreement, true_kernels
-from swarmssm.analysis.kernels import interaction_kernels
-from swarmssm.analysis.kernels import sentence as kernels_sentence
-from swarmssm.analysis.latents import latent_force_alignment
-from swarmssm.analysis.latents import sentence as latents_sentence
-from swarmssm.analysis.leaders import find_leader, find_loners
+from swarmssm.analysis.forces.maps import force_maps
+from swarmssm.analysis.forces.maps import sentence as maps_sentence
+from swarmssm.analysis.forces.posterior import TERMS, force_summary, posterior_forces
+from swarmssm.analysis.forces.posterior import sentence as forces_sentence
+from swarmssm.analysis.forces.truth import force_agreement, true_forces
+from swarmssm.analysis.influence.leaders import find_leader, find_loners
+from swarmssm.analysis.influence.posterior import influence
+from swarmssm.analysis.influence.posterior import sentence as influence_sentence
+from swarmssm.analysis.kernels.posterior import interaction_kernels
+from swarmssm.analysis.kernels.posterior import sentence as kernels_sentence
+from swarmssm.analysis.kernels.truth import kernel_agreement, true_kernels
+from swarmssm.analysis.latents.alignment import latent_force_alignment
+from swarmssm.analysis.latents.alignment import sentence as latents_sentence
 from swarmssm.analysis.motion import PosteriorPaths, posterior_paths
 from swarmssm.analysis.subject import same_tracks
 from swarmssm.errors import InputError, SwarmssmError

@@ -27,22 +27,22 @@ class Analysis:
     Attributes
     ----------
     forces
-        Draws of :func:`swarmssm.analysis.forces.posterior_forces`, with the magnitudes and angles
-        of :func:`swarmssm.analysis.forces.force_summary`. Of long recordings each
+        Draws of :func:`swarmssm.analysis.posterior_forces`, with the magnitudes and angles
+        of :func:`swarmssm.analysis.force_summary`. Of long recordings each
         ``attrs["stride"]``-th frame. Of simulated tracks also ``truth_r_squared``, ``truth_slope``
-        and ``truth_coverage (term)``, see :func:`swarmssm.analysis.force_truth.force_agreement`.
+        and ``truth_coverage (term)``, see :func:`swarmssm.analysis.force_agreement`.
     kernels
-        Of :func:`swarmssm.analysis.kernels.interaction_kernels`; of simulated boids with the true
+        Of :func:`swarmssm.analysis.interaction_kernels`; of simulated boids with the true
         ones as ``truth_net``, ``truth_alignment`` ... ``(distance)``, and ``truth_error`` and
         ``truth_inside (kernel)``, the error and the coverage of
-        :func:`swarmssm.analysis.kernel_truth.kernel_agreement`.
+        :func:`swarmssm.analysis.kernel_agreement`.
     force_maps
-        Of :func:`swarmssm.analysis.force_maps.force_maps`.
+        Of :func:`swarmssm.analysis.force_maps`.
     latents
-        Of :func:`swarmssm.analysis.latents.latent_force_alignment`.
+        Of :func:`swarmssm.analysis.latent_force_alignment`.
     influence
         Of :func:`swarmssm.analysis.influence.influence`, with ``leader_alarm``, ``leads`` and
-        ``loner (individual)`` of :mod:`swarmssm.analysis.leaders`, decided at the rate
+        ``loner (individual)`` of :mod:`swarmssm.analysis.influence.leaders`, decided at the rate
         ``attrs["leader_rate"]``.
     parameters
         ``mean``, ``sd``, ``low`` and ``high (parameter)`` of the parameters that have a prior, see

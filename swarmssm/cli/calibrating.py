@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-    from swarmssm.analysis.many_runs import Counted
+    from swarmssm.analysis.calibration.many_runs import Counted
     from swarmssm.models import Scales
 
 __all__ = ["calibrate"]
@@ -345,8 +345,8 @@ def _calibrated(
     options: dict[str, Any],
 ) -> "xr.Dataset":
     """Run a calibration."""
-    from swarmssm.analysis.calibration import simulation_based_calibration
-    from swarmssm.analysis.synthetic import standard_scales
+    from swarmssm.analysis.calibration.simulation import simulation_based_calibration
+    from swarmssm.analysis.calibration.synthetic import standard_scales
 
     individuals, frames, trials, noise = sizes
     number = individuals
@@ -380,8 +380,8 @@ def _recovered(
     options: dict[str, Any],
 ) -> "xr.Dataset":
     """Run a recovery study."""
-    from swarmssm.analysis.recovery import recovery_study
-    from swarmssm.analysis.recovery_settings import Setting
+    from swarmssm.analysis.recovery.settings import Setting
+    from swarmssm.analysis.recovery.study import recovery_study
 
     base: Setting = Setting()
     if like.scales is not None:
@@ -460,8 +460,8 @@ def _write(found: "xr.Dataset", study: Study, out: Path, picture: Path) -> None:
 
 def _print(found: "xr.Dataset", study: Study, format: TableFormat) -> None:
     """Print tables and the sentence."""
-    from swarmssm.analysis.rank_calibration import calibration_sentence, calibration_table
-    from swarmssm.analysis.recovery_table import (
+    from swarmssm.analysis.calibration.ranks import calibration_sentence, calibration_table
+    from swarmssm.analysis.recovery.table import (
         recovery_needs,
         recovery_sentence,
         recovery_table,

@@ -11,6 +11,10 @@ __all__ = ["gaussian_log_score", "mixture_log_score", "moments_of_draws"]
 Array = npt.NDArray[np.float64]
 
 
+#: What is added to each axis of a covariance, as a part of the sum of all.
+ROUNDING = 1e-9
+
+
 def gaussian_log_score(truth: Array, mean: Array, covariance: Array) -> Array:
     r"""Return the log-density of the truth under a normal forecast, per coordinate.
 
@@ -86,6 +90,10 @@ def mixture_log_score(
     location = np.where(np.isinf(location), 0.0, location)
     spread = moments_of_draws(location)[1] * count ** (-2.0 / (space + 4))
     shrink = 1.0 if math.isinf(degrees) else (degrees - 2.0) / degrees
+    # A future that leaves all bounds stretches C along one line, and rounding makes it singular.
+    spread = spread + ROUNDING * np.trace(spread, axis1=-2, axis2=-1)[..., None, None] * np.eye(
+        space
+    )
     matrix = variance[..., None] * shrink * np.eye(space) + spread
     error = truth - location
     known = np.isfinite(error).all((0, -1)) & np.isfinite(matrix).all((0, -1, -2))

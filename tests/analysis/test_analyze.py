@@ -13,7 +13,7 @@ from swarmssm import inference, io, simulate
 from swarmssm.analysis.analyze import analyze
 from swarmssm.analysis.analyzed import ANALYSES, Analysis
 from swarmssm.analysis.findings import findings, findings_table
-from swarmssm.analysis.forces import posterior_forces
+from swarmssm.analysis.forces.posterior import posterior_forces
 from swarmssm.analysis.report.analysis_page import analysis_page, report_analysis
 from swarmssm.errors import InputError
 

@@ -67,7 +67,7 @@ def test_what_was_begun_is_not_lost(swarmssm, tmp_path):
 
 
 def test_interrupted_by_hand(swarmssm, tmp_path, monkeypatch):
-    from swarmssm.analysis import calibration
+    from swarmssm.analysis.calibration import simulation as calibration
 
     def stop(self, index):
         if index == 1:

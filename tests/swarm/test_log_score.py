@@ -90,3 +90,12 @@ def test_a_future_that_breaks_down_gives_no_probability():
     assert np.isfinite(found[0])
     assert found[1] == -np.inf
     assert np.isnan(found[2])
+
+
+def test_one_future_far_out_makes_a_bad_score_and_no_error():
+    """Its distance squared is more than 1e16 times the variance of the step."""
+    location = np.zeros((10, 1, 2))
+    location[0, 0] = [3e10, 4e10]
+    score = mixture_log_score(np.zeros((1, 2)), location, np.ones((10, 1, 2)))
+    assert np.isfinite(score).all()
+    assert score[0] < -10.0

@@ -4,8 +4,33 @@ None of them touches pyplot: a figure is gone when nobody holds it. In space the
 scale, and y grows upwards whatever the recording's own picture does.
 """
 
+from swarmssm.analysis.plots.calibration import (
+    plot_calibration,
+    plot_coverage,
+    plot_ecdf_difference,
+    plot_rank_histograms,
+)
 from swarmssm.analysis.plots.curves import plot_collective, plot_horizon_errors, plot_training
+from swarmssm.analysis.plots.forces import (
+    plot_force_arrows,
+    plot_force_magnitudes,
+    plot_force_shares,
+)
 from swarmssm.analysis.plots.graphs import plot_edge_accuracy, plot_graphs
+from swarmssm.analysis.plots.influence import (
+    plot_influence,
+    plot_influence_matrix,
+    plot_influence_network,
+    plot_leadership,
+)
+from swarmssm.analysis.plots.kernels import plot_force_maps, plot_kernels, plot_modulation
+from swarmssm.analysis.plots.latents import (
+    plot_effort,
+    plot_latents,
+    plot_rotated_axes,
+    plot_sources,
+)
+from swarmssm.analysis.plots.recovery import plot_recovery
 from swarmssm.analysis.plots.trajectories import (
     plot_imitation,
     plot_random_starts,
@@ -14,13 +39,32 @@ from swarmssm.analysis.plots.trajectories import (
 )
 
 __all__ = [
+    "plot_calibration",
     "plot_collective",
+    "plot_coverage",
+    "plot_ecdf_difference",
     "plot_edge_accuracy",
+    "plot_effort",
+    "plot_force_arrows",
+    "plot_force_magnitudes",
+    "plot_force_maps",
+    "plot_force_shares",
     "plot_graphs",
     "plot_horizon_errors",
     "plot_imitation",
+    "plot_influence",
+    "plot_influence_matrix",
+    "plot_influence_network",
+    "plot_kernels",
+    "plot_latents",
+    "plot_leadership",
+    "plot_modulation",
     "plot_random_starts",
+    "plot_rank_histograms",
+    "plot_recovery",
+    "plot_rotated_axes",
     "plot_snapshots",
+    "plot_sources",
     "plot_training",
     "plot_trajectories",
 ]

@@ -8,7 +8,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from swarmssm.analysis.parameter_names import short_name
+from swarmssm.analysis.calibration.parameter_names import short_name
 from swarmssm.analysis.plots.style import INDIVIDUALS, colour_of, legend_below, new_axes, new_grid
 
 __all__ = ["plot_calibration", "plot_coverage", "plot_ecdf_difference", "plot_rank_histograms"]
@@ -26,7 +26,7 @@ def plot_calibration(calibration: xr.Dataset) -> Figure:
     Parameters
     ----------
     calibration
-        From :func:`swarmssm.analysis.calibration.simulation_based_calibration`.
+        From :func:`swarmssm.analysis.simulation_based_calibration`.
     """
     number = calibration.sizes["parameter"]
     columns = min(COLUMNS, number)
@@ -54,7 +54,7 @@ def plot_rank_histograms(
     Parameters
     ----------
     calibration
-        From :func:`swarmssm.analysis.calibration.simulation_based_calibration`.
+        From :func:`swarmssm.analysis.simulation_based_calibration`.
     axes
         As many as quantities; new ones if absent.
 
@@ -99,7 +99,7 @@ def plot_ecdf_difference(calibration: xr.Dataset, ax: Axes | None = None) -> tup
     Parameters
     ----------
     calibration
-        From :func:`swarmssm.analysis.calibration.simulation_based_calibration`.
+        From :func:`swarmssm.analysis.simulation_based_calibration`.
     ax
         Where to draw; new axes if absent.
     """
@@ -143,7 +143,7 @@ def plot_coverage(calibration: xr.Dataset, ax: Axes | None = None) -> tuple[Figu
     Parameters
     ----------
     calibration
-        From :func:`swarmssm.analysis.calibration.simulation_based_calibration`.
+        From :func:`swarmssm.analysis.simulation_based_calibration`.
     ax
         Where to draw; new axes if absent.
 

@@ -34,7 +34,7 @@ def plot_force_magnitudes(
     Parameters
     ----------
     summary
-        What :func:`swarmssm.analysis.forces.force_summary` returned.
+        What :func:`swarmssm.analysis.force_summary` returned.
     ax
         Where to draw; new axes if absent.
     trial
@@ -73,7 +73,7 @@ def plot_force_shares(summary: xr.Dataset, ax: Axes | None = None) -> tuple[Figu
     Parameters
     ----------
     summary
-        What :func:`swarmssm.analysis.forces.force_summary` returned.
+        What :func:`swarmssm.analysis.force_summary` returned.
     ax
         Where to draw; new axes if absent.
 
@@ -109,7 +109,7 @@ def plot_force_arrows(
     Parameters
     ----------
     forces
-        What :func:`swarmssm.analysis.forces.posterior_forces` returned; of three dimensions
+        What :func:`swarmssm.analysis.posterior_forces` returned; of three dimensions
         the first two are drawn.
     ax
         Where to draw; new axes if absent.

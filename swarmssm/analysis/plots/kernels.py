@@ -39,11 +39,11 @@ def plot_kernels(
     Parameters
     ----------
     kernels
-        What :func:`swarmssm.analysis.kernels.interaction_kernels` returned.
+        What :func:`swarmssm.analysis.interaction_kernels` returned.
     axes
         Two axes; new ones if absent.
     truth
-        What :func:`swarmssm.analysis.kernel_truth.true_kernels` returned, drawn in black.
+        What :func:`swarmssm.analysis.true_kernels` returned, drawn in black.
 
     Returns
     -------
@@ -117,7 +117,7 @@ def plot_modulation(kernels: xr.Dataset, ax: Axes | None = None) -> tuple[Figure
     Parameters
     ----------
     kernels
-        What :func:`swarmssm.analysis.kernels.interaction_kernels` returned, with ``modulation``.
+        What :func:`swarmssm.analysis.interaction_kernels` returned, with ``modulation``.
     ax
         Where to draw; new axes if absent.
 
@@ -147,7 +147,7 @@ def plot_force_maps(
     Parameters
     ----------
     maps
-        What :func:`swarmssm.analysis.force_maps.force_maps` returned; or one map of those, without
+        What :func:`swarmssm.analysis.force_maps` returned; or one map of those, without
         the dimension ``source``.
     axes
         Two for each source; new ones if absent.

@@ -26,7 +26,7 @@ def plot_latents(
     Parameters
     ----------
     alignment
-        What :func:`swarmssm.analysis.latents.latent_force_alignment` returned.
+        What :func:`swarmssm.analysis.latent_force_alignment` returned.
     ax
         Where to draw; new axes if absent.
     probe
@@ -67,7 +67,7 @@ def plot_sources(
     Parameters
     ----------
     alignment
-        What :func:`swarmssm.analysis.latents.latent_force_alignment` returned.
+        What :func:`swarmssm.analysis.latent_force_alignment` returned.
     ax
         Where to draw; new axes if absent.
     probe
@@ -117,7 +117,7 @@ def plot_rotated_axes(
     Parameters
     ----------
     alignment
-        What :func:`swarmssm.analysis.latents.latent_force_alignment` returned.
+        What :func:`swarmssm.analysis.latent_force_alignment` returned.
     ax
         Where to draw; new axes if absent.
     group
@@ -143,7 +143,7 @@ def plot_effort(
     Parameters
     ----------
     alignment
-        What :func:`swarmssm.analysis.latents.latent_force_alignment` returned.
+        What :func:`swarmssm.analysis.latent_force_alignment` returned.
     ax
         Where to draw; new axes if absent.
     over

@@ -9,9 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from swarmssm.analysis.parameter_names import short_name
+from swarmssm.analysis.calibration.parameter_names import short_name
 from swarmssm.analysis.plots.style import INDIVIDUALS, log_scale, new_grid
-from swarmssm.analysis.recovery_table import factor_curve, gains_of
+from swarmssm.analysis.recovery.table import factor_curve, gains_of
 from swarmssm.errors import InputError
 
 __all__ = ["plot_recovery"]
@@ -38,7 +38,7 @@ def plot_recovery(
     Parameters
     ----------
     recovery
-        From :func:`swarmssm.analysis.recovery.recovery_study`, one factor at a time.
+        From :func:`swarmssm.analysis.recovery_study`, one factor at a time.
     axes
         As many as factors; new ones if absent.
 

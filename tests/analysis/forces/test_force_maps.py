@@ -8,7 +8,8 @@ import pytest
 import xarray as xr
 
 from swarmssm import simulate
-from swarmssm.analysis.force_maps import (
+from swarmssm.analysis.forces.map_bins import Portion, binned, labelled
+from swarmssm.analysis.forces.maps import (
     default_extent,
     force_map,
     force_map_agreement,
@@ -16,8 +17,7 @@ from swarmssm.analysis.force_maps import (
     raw_force_map,
     sentence,
 )
-from swarmssm.analysis.map_bins import Portion, binned, labelled
-from swarmssm.analysis.parabolas import parabola, shortest_window
+from swarmssm.analysis.forces.parabolas import parabola, shortest_window
 from swarmssm.errors import InputError
 from swarmssm.tracks import make_tracks
 

@@ -11,10 +11,10 @@ from matplotlib.collections import QuadMesh
 from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 
-from swarmssm.analysis.force_maps import force_maps, raw_force_map
-from swarmssm.analysis.forces import TERMS, force_summary, posterior_forces
-from swarmssm.analysis.kernel_truth import true_kernels
-from swarmssm.analysis.kernels import interaction_kernels
+from swarmssm.analysis.forces.maps import force_maps, raw_force_map
+from swarmssm.analysis.forces.posterior import TERMS, force_summary, posterior_forces
+from swarmssm.analysis.kernels.posterior import interaction_kernels
+from swarmssm.analysis.kernels.truth import true_kernels
 from swarmssm.analysis.plots.forces import (
     plot_force_arrows,
     plot_force_magnitudes,

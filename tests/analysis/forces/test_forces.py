@@ -9,8 +9,8 @@ import torch
 import xarray as xr
 
 from swarmssm import simulate
-from swarmssm.analysis.force_truth import force_agreement, true_forces
-from swarmssm.analysis.forces import TERMS, force_summary, posterior_forces, sentence
+from swarmssm.analysis.forces.posterior import TERMS, force_summary, posterior_forces, sentence
+from swarmssm.analysis.forces.truth import force_agreement, true_forces
 from swarmssm.analysis.motion import motion_of
 from swarmssm.errors import InputError
 from swarmssm.inference import Fit

@@ -10,8 +10,8 @@ import torch
 import xarray as xr
 
 from swarmssm.analysis.intervals import quantiles
-from swarmssm.analysis.kernel_truth import kernel_agreement, true_kernels
-from swarmssm.analysis.kernels import _crossing, interaction_kernels, sentence
+from swarmssm.analysis.kernels.posterior import _crossing, interaction_kernels, sentence
+from swarmssm.analysis.kernels.truth import kernel_agreement, true_kernels
 from swarmssm.errors import InputError
 from swarmssm.models.transitions import KernelTransition, SplineBasis
 from swarmssm.tracks import make_tracks

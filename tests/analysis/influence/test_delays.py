@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from swarmssm.analysis.delays import delay_sentence, leadership_delays
+from swarmssm.analysis.influence.delays import delay_sentence, leadership_delays
 from swarmssm.errors import InputError
 from swarmssm.tracks import make_tracks
 

@@ -8,12 +8,12 @@ import pytest
 import torch
 
 from swarmssm import simulate
-from swarmssm.analysis import influence as module
-from swarmssm.analysis.influence import influence, sentence
-from swarmssm.analysis.jacobians import acceleration_jacobian, has_closed_form
+from swarmssm.analysis.influence import posterior as module
+from swarmssm.analysis.influence.jacobians import acceleration_jacobian, has_closed_form
+from swarmssm.analysis.influence.posterior import influence, sentence
+from swarmssm.analysis.influence.ranks import rank_probabilities
+from swarmssm.analysis.influence.weights import WEIGHT_SAMPLES
 from swarmssm.analysis.motion import motion_of, posterior_paths
-from swarmssm.analysis.ranks import rank_probabilities
-from swarmssm.analysis.weights import WEIGHT_SAMPLES
 from swarmssm.errors import InputError
 from swarmssm.models.transitions import BoidsTransition, SplineBasis
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from swarmssm.analysis.leaders import find_leader, find_loners
+from swarmssm.analysis.influence.leaders import find_leader, find_loners
 from swarmssm.errors import InputError
 
 DATA_SETS = 250

@@ -6,7 +6,7 @@ import pyro.distributions as dist
 import pytest
 import torch
 
-from swarmssm.analysis.influence import influence
+from swarmssm.analysis.influence.posterior import influence
 from swarmssm.analysis.plots.influence import (
     plot_influence,
     plot_influence_matrix,

@@ -1,0 +1,13 @@
+"""How many data it takes to find the parameters again."""
+
+from swarmssm.analysis.recovery.settings import Setting
+from swarmssm.analysis.recovery.study import recovery_study
+from swarmssm.analysis.recovery.table import recovery_needs, recovery_sentence, recovery_table
+
+__all__ = [
+    "Setting",
+    "recovery_needs",
+    "recovery_sentence",
+    "recovery_study",
+    "recovery_table",
+]
