@@ -10,7 +10,7 @@ import xarray as xr
 
 from swarmssm.analysis.analyzed import Analysis
 from swarmssm.analysis.intervals import quantiles
-from swarmssm.analysis.table import NOTHING, format_number
+from swarmssm.analysis.table import NOTHING, format_number, format_unit
 
 __all__ = ["Finding", "findings", "findings_table"]
 
@@ -74,7 +74,7 @@ def findings_table(analysis: Analysis) -> list[dict[str, str]]:
     """Return :func:`findings` as text, column title to text."""
     rows = []
     for found in findings(analysis):
-        value, unit = format_number(found.value), found.unit.replace("^2", "²")
+        value, unit = format_number(found.value), format_unit(found.unit)
         sure = math.isfinite(found.low) and math.isfinite(found.high)
         rows.append(
             {

@@ -5,7 +5,14 @@ import math
 from swarmssm.analysis.evaluation import Evaluation
 from swarmssm.analysis.thesis import thesis_rows
 
-__all__ = ["NOTHING", "edge_table", "format_number", "horizon_table", "scores_table"]
+__all__ = [
+    "NOTHING",
+    "edge_table",
+    "format_number",
+    "format_unit",
+    "horizon_table",
+    "scores_table",
+]
 
 #: What stands where there is no number.
 NOTHING = "–"
@@ -23,6 +30,11 @@ def format_number(value: float | None, digits: int = 3) -> str:
     if not -4 <= exponent < 6:
         return f"{value:.{digits - 1}e}".replace("e-0", "e-").replace("e+0", "e")
     return f"{value:.{max(0, digits - 1 - exponent)}f}"
+
+
+def format_unit(unit: str) -> str:
+    """Return a unit as people read it: ``px/s²`` where data have ``px/s^2``; none for ``1``."""
+    return "" if unit == "1" else unit.replace("^2", "²")
 
 
 def scores_table(evaluation: Evaluation, thesis: str | None = "auto") -> list[dict[str, str]]:

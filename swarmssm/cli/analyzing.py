@@ -20,7 +20,7 @@ from swarmssm.cli.console import (
     say,
 )
 from swarmssm.errors import InputError
-from swarmssm.files import check_output
+from swarmssm.files import check_output, write_beside
 
 __all__ = ["analyze"]
 
@@ -77,8 +77,10 @@ def analyze(
             options=options,
             progress=show,
         )
-    found.write(out, overwrite=overwrite)
-    report_analysis(found, fitted, tracks, page, overwrite=overwrite)
+    # Both or neither: data without the page would stand in the way of the next call.
+    with write_beside(out, overwrite=overwrite) as temporary:
+        found.write(temporary, overwrite=True)
+        report_analysis(found, fitted, tracks, page, overwrite=overwrite)
     if format is TableFormat.json:
         print_json(
             {

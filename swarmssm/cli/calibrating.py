@@ -219,37 +219,40 @@ def calibrate(
         **wanted,
     }
     try:
-        if study is Study.calibration:
-            common |= {"draws": draws, "path_draws": path_draws, "spread": spread or None}
-            found = _calibrated(
-                name,
-                like,
-                (individuals, frames, trials, noise),
-                graph,
-                200 if datasets is None else datasets,
-                common,
-            )
-        else:
-            sizes = {
-                "individuals": individuals,
-                "frames": frames,
-                "trials": trials,
-                "noise": noise,
-                "radius": radius,
-                "density": density,
-            }
-            common |= {"factors": _factors(factor), "grid": grid, "tolerance": tolerance}
-            common["values"] = {**like.values, **_numbers(value)}
-            found = _recovered(
-                name, like, sizes, graph, 5 if datasets is None else datasets, common
-            )
+        with _set_aside(rows, overwrite and not resume):
+            if study is Study.calibration:
+                common |= {"draws": draws, "path_draws": path_draws, "spread": spread or None}
+                found = _calibrated(
+                    name,
+                    like,
+                    (individuals, frames, trials, noise),
+                    graph,
+                    200 if datasets is None else datasets,
+                    common,
+                )
+            else:
+                sizes = {
+                    "individuals": individuals,
+                    "frames": frames,
+                    "trials": trials,
+                    "noise": noise,
+                    "radius": radius,
+                    "density": density,
+                }
+                common |= {"factors": _factors(factor), "grid": grid, "tolerance": tolerance}
+                common["values"] = {**like.values, **_numbers(value)}
+                found = _recovered(
+                    name, like, sizes, graph, 5 if datasets is None else datasets, common
+                )
     except KeyboardInterrupt:
-        typer.echo(f"Stopped. What is finished stands in {rows}. Go on with --resume.", err=True)
+        kept = f"What is finished stands in {rows}. Go on with --resume."
+        typer.echo(f"Stopped. {kept if rows.exists() else 'Nothing was finished.'}", err=True)
         raise typer.Exit(1) from None
-    _write(found, study, out, picture)
+    drawn = _write(found, study, out, picture)
     _print(found, study, format)
     if format is TableFormat.text:
-        say(f"{out}, {picture}: written. What is finished stands in {rows}.")
+        written = f"{out}, {picture}: written." if drawn else f"{out}: written, without a picture."
+        say(f"{written} What is finished stands in {rows}.")
 
 
 @dataclass(frozen=True)
@@ -287,9 +290,24 @@ def _outputs(out: Path, figure: Path | None, resume: bool, overwrite: bool) -> t
             "anew with --overwrite, or choose another --out."
         )
     check_output(rows, overwrite=again)
-    if overwrite and not resume:
-        rows.unlink(missing_ok=True)
     return rows, picture
+
+
+@contextmanager
+def _set_aside(rows: Path, overwrite: bool) -> Iterator[None]:
+    """Let a study begin anew; put back what was there if it is refused before it has begun."""
+    if not overwrite or not rows.exists():
+        yield
+        return
+    old = rows.with_name(f".{rows.name}.old")
+    rows.replace(old)
+    try:
+        yield
+    finally:
+        if rows.exists():
+            old.unlink(missing_ok=True)
+        else:
+            old.replace(rows)
 
 
 def _like(file: Path | None, run: Path | None, trust_code: bool) -> _Like:
@@ -441,21 +459,24 @@ def _numbers(pairs: list[str] | None) -> dict[str, Any]:
     return values
 
 
-def _write(found: "xr.Dataset", study: Study, out: Path, picture: Path) -> None:
-    """Write the dataset and the picture."""
+def _write(found: "xr.Dataset", study: Study, out: Path, picture: Path) -> bool:
+    """Write the dataset and the picture; return whether there was anything to draw."""
     from swarmssm import io
     from swarmssm.analysis.plots.calibration import plot_calibration
-    from swarmssm.analysis.plots.recovery import plot_recovery
+    from swarmssm.analysis.plots.recovery import plot_recovery, varied_factors
     from swarmssm.files import write_beside
 
     io.write_dataset(found, out, overwrite=True)
     drawn: Figure
     if study is Study.calibration:
         drawn = plot_calibration(found)
-    else:
+    elif varied_factors(found):
         drawn, _ = plot_recovery(found)
+    else:
+        return False
     with write_beside(picture, overwrite=True) as temporary:
         drawn.savefig(temporary, format=picture.suffix[1:].lower(), dpi=150)
+    return True
 
 
 def _print(found: "xr.Dataset", study: Study, format: TableFormat) -> None:

@@ -25,6 +25,14 @@ def analysis(quick_fit, boids):
     return analyze(quick_fit, boids, draws=3, options=QUICK)
 
 
+@pytest.fixture(scope="module")
+def written(analysis, tmp_path_factory):
+    """The file of the analysis."""
+    path = tmp_path_factory.mktemp("written") / "a.nc"
+    analysis.write(path)
+    return path
+
+
 def test_all_is_there_for_a_plain_fit_in_two_dimensions(analysis):
     assert tuple(analysis.datasets) == ANALYSES
     assert tuple(analysis.sentences) == ANALYSES
@@ -55,10 +63,8 @@ def test_simulated_tracks_bring_their_truth(analysis):
     assert len(set(np.round(true[true > 0], 12))) == 1
 
 
-def test_a_file_gives_back_every_number(analysis, tmp_path):
-    path = tmp_path / "a.nc"
-    analysis.write(path)
-    back = Analysis.read(path)
+def test_a_file_gives_back_every_number(analysis, written):
+    back = Analysis.read(written)
     for name, dataset in analysis.datasets.items():
         xr.testing.assert_identical(back.datasets[name], dataset)
     assert back.sentences == analysis.sentences
@@ -67,24 +73,23 @@ def test_a_file_gives_back_every_number(analysis, tmp_path):
     assert findings_table(back) == findings_table(analysis)
 
 
-def test_anybody_can_open_the_file(analysis, tmp_path):
-    path = tmp_path / "a.nc"
-    analysis.write(path)
-    with xr.open_datatree(path) as tree:
+def test_anybody_can_open_the_file(analysis, written):
+    with xr.open_datatree(written) as tree:
         assert set(tree.children) == set(ANALYSES)
-    with xr.open_dataset(path, group="kernels") as kernels:
+    with xr.open_dataset(written, group="kernels") as kernels:
         np.testing.assert_array_equal(kernels["net"], analysis.kernels["net"])
         assert kernels["net"].attrs["units"]
 
 
-def test_an_existing_file_is_kept(analysis, tmp_path):
+def test_an_existing_file_is_kept(quick_fit, boids, tmp_path):
+    forces = analyze(quick_fit, boids, draws=1, only=["forces"])
     path = tmp_path / "a.nc"
     path.write_text("precious")
     with pytest.raises(InputError, match="exists already"):
-        analysis.write(path)
+        forces.write(path)
     assert path.read_text() == "precious"
-    analysis.write(path, overwrite=True)
-    assert Analysis.read(path).settings == analysis.settings
+    forces.write(path, overwrite=True)
+    assert Analysis.read(path).settings == forces.settings
 
 
 def test_other_files_are_refused(boids, tmp_path):

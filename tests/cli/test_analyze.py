@@ -97,7 +97,14 @@ def test_what_exists_is_left_alone(swarmssm, flock_file, run_folder, tmp_path, k
     assert kept in result.err
     assert (tmp_path / kept).read_text() == "precious"
     assert [path.name for path in tmp_path.iterdir()] == [kept]
+
+
+def test_what_exists_is_replaced_when_asked(swarmssm, flock_file, run_folder, tmp_path):
+    for kept in ("a.nc", "a.html"):
+        (tmp_path / kept).write_text("precious")
     short = ("--draws", 1, "--only", "forces", "--overwrite")
     result = swarmssm("analyze", run_folder, flock_file, "--out", "a.nc", *short)
     assert result.status == 0, result.err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.html", "a.nc"]
+    assert (tmp_path / "a.html").read_text(encoding="utf-8").startswith("<!")
+    assert set(Analysis.read(tmp_path / "a.nc").datasets) == {"forces"}

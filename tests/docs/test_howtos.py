@@ -1,17 +1,36 @@
 """The how-tos run as they stand, and are as short as they promise."""
 
 import re
+import shlex
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import pytest
+
+from swarmssm.cli import main
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 #: How-to -> lines of a user's own code that it may take, blank ones not counted.
 LINES = {"another-prior": 5, "another-transition": 15, "another-guide": 20}
 #: How-tos that take no code in a file of one's own.
 WITHOUT = ("what-do-my-latents-mean", "which-rule-do-my-fish-follow")
+#: What stands in a how-to -> less of it, for a quick look at whether it runs at all.
+LESS = {
+    "what-do-my-latents-mean": {
+        "--steps 100": "--steps 60",
+        "--epochs 20": "--epochs 2",
+        "epochs=20": "epochs=2",
+        "shifts=39": "shifts=9",
+        '"shifts": 39': '"shifts": 9',
+    },
+    "which-rule-do-my-fish-follow": {
+        "slice(0, 100)": "slice(0, 40)",
+        "range(85, 95, 2)": "range(33, 35)",
+        "--draws 10": "--draws 4",
+    },
+}
 NUMBER = re.compile(r"-?\d+(\.\d+)?(e-?\d+)?|–")
 BLOCK = re.compile(r"^```(\w+) (\S+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
@@ -40,13 +59,42 @@ def words_of(line):
     return " ".join(NUMBER.sub("#", cells[0]).split())
 
 
-@pytest.mark.parametrize("name", [*LINES, *WITHOUT])
-def test_it_runs(name, tmp_path):
-    """Files are written, then Python and the commands are run in the same folder."""
+def outside(language, text, folder):
+    """Run a block in processes of its own, one for each command; return what was printed by each.
+
+    What a user writes in a file is imported as a user imports it.
+    """
+    if language == "python":
+        code = "import sys; sys.path.insert(0, '')\n" + text
+        commands = [[sys.executable, "-W", "ignore", "-c", code]]
+    else:
+        commands = [
+            ["bash", "-c", line.replace("swarmssm", f"{sys.executable} -P -m swarmssm", 1)]
+            for line in lines_of(text)
+        ]
+    for command in commands:
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, f"{command[-1]}\n{done.stdout}\n{done.stderr}"
+        yield done.stdout
+
+
+def lines_of(text):
+    """Return the commands of a block."""
+    lines = [line for line in text.splitlines() if line.strip()]
+    assert all(line.startswith("swarmssm ") for line in lines)
+    return lines
+
+
+def check(name, folder, run, less=None):
+    """Write the files of a how-to, then run Python and the commands in the same folder."""
     ran, printed = 0, ""
-    for language, action, text in blocks(name):
+    found = blocks(name)
+    for old, new in (less or {}).items():
+        assert any(action == "run" and old in text for _, action, text in found), old
+        found = [(kind, action, text.replace(old, new)) for kind, action, text in found]
+    for language, action, text in found:
         if action.startswith("file="):
-            (tmp_path / action.removeprefix("file=")).write_text(text)
+            (folder / action.removeprefix("file=")).write_text(text)
             continue
         if action == "output":
             said = {words_of(line) for line in printed.splitlines()}
@@ -54,29 +102,46 @@ def test_it_runs(name, tmp_path):
                 assert words_of(line) in said, f"{line}\n{printed}"
             continue
         assert action == "run"
-        if language == "python":
-            commands = [
-                [
-                    sys.executable,
-                    "-W",
-                    "ignore",
-                    "-c",
-                    "import sys; sys.path.insert(0, '')\n" + text,
-                ]
-            ]
-        else:
-            lines = [line for line in text.splitlines() if line.strip()]
-            assert all(line.startswith("swarmssm ") for line in lines)
-            commands = [
-                ["bash", "-c", line.replace("swarmssm", f"{sys.executable} -P -m swarmssm", 1)]
-                for line in lines
-            ]
-        for command in commands:
-            done = subprocess.run(
-                command, cwd=tmp_path, capture_output=True, text=True, check=False
-            )
-            assert done.returncode == 0, f"{command[-1]}\n{done.stdout}\n{done.stderr}"
-            assert done.stdout.strip()
-            printed += done.stdout
+        for told in run(language, text, folder):
+            assert told.strip()
+            printed += told
             ran += 1
     assert ran >= 2
+
+
+@pytest.mark.parametrize("name", LINES)
+def test_it_runs(name, tmp_path):
+    check(name, tmp_path, outside)
+
+
+@pytest.fixture
+def inside(monkeypatch, capsys, tmp_path):
+    """Return a function that runs a block in this process, where nothing is imported anew."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(language, text, folder):
+        if language == "python":
+            with warnings.catch_warnings(action="ignore"):
+                exec(compile(text, "how-to", "exec"), {"__name__": "__main__"})
+            yield capsys.readouterr().out
+            return
+        for line in lines_of(text):
+            monkeypatch.setattr(sys, "argv", shlex.split(line))
+            with pytest.raises(SystemExit) as stopped:
+                main()
+            told = capsys.readouterr()
+            assert not stopped.value.code, f"{line}\n{told.out}\n{told.err}"
+            yield told.out
+
+    return run
+
+
+@pytest.mark.parametrize("name", WITHOUT)
+def test_it_runs_with_less_of_everything(name, tmp_path, inside):
+    check(name, tmp_path, inside, LESS[name])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", WITHOUT)
+def test_it_runs_as_it_stands(name, tmp_path, inside):
+    check(name, tmp_path, inside)

@@ -320,7 +320,7 @@ def sentence(influence: xr.Dataset, rate: float = 0.05) -> str:
     text = (
         f"{name} moves the others most: another state of it (by {_short(influence, 'position')} "
         f"{unit} and {_short(influence, 'velocity')} {unit}/s) changes the acceleration of another "
-        f"by {middle[best]:.2g} {unit}/s^2 (90 % interval {low[best]:.2g} to {high[best]:.2g}), "
+        f"by {middle[best]:.2g} {unit}/s² (90 % interval {low[best]:.2g} to {high[best]:.2g}), "
         f"where the median individual reaches {np.nanmedian(middle):.2g}"
     )
     if influence.attrs["certain"]:

@@ -162,7 +162,8 @@ def compare_latents(
         there are enough dimensions (``orthogonal``), brought to right angles with each other.
     ``axis_r2 (group, axis, component)``, ``purity (group, axis)``
         How well each of these axes alone tells each component, and its own one as a share of what
-        all of the group tell of it.
+        all of the group tell of it, between 0 and 1
+        (:class:`~swarmssm.analysis.latents.rotations.RotatedAxes`).
     ``component_r2 (training, components, term)``, ``frame_r2 (training, frames, term)``
         The linear probe of so many principal components, and learned from so many frames; trained
         and untrained (the median over initialisations).

@@ -28,8 +28,10 @@ class RotatedAxes(NamedTuple):
         ``(axis, component)``: how well each axis alone tells each component, in frames left out,
         the axes being those of the other frames.
     purity
-        ``(axis,)``: that of its own component, as a share of what all latents tell of it; NaN where
-        they tell nothing.
+        ``(axis,)``: that of its own component, as a share between 0 and 1 of what all latents tell
+        of it; NaN where they tell nothing. An axis that tells no less than all of them, as it may
+        in frames left out since it has less to learn, has 1; one that does no better than the mean,
+        0.
     orthogonal
         Whether the axes are at right angles: not with fewer latents than components.
     """
@@ -86,7 +88,7 @@ def rotated_axes(
     own = np.diagonal(r2)
     with np.errstate(invalid="ignore"):
         told = together > 0
-    purity = np.where(told, own / np.where(told, together, 1.0), np.nan)
+    purity = np.where(told, np.clip(own / np.where(told, together, 1.0), 0.0, 1.0), np.nan)
     return RotatedAxes(axes(None), scale, r2, purity, bool(orthogonal))
 
 

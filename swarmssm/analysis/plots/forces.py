@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from swarmssm.analysis.plots.style import dot_size, label_axes, legend_below, new_axes
-from swarmssm.analysis.table import format_number
+from swarmssm.analysis.table import format_number, format_unit
 
 __all__ = ["TERM_COLOURS", "plot_force_arrows", "plot_force_magnitudes", "plot_force_shares"]
 
@@ -88,7 +88,7 @@ def plot_force_shares(summary: xr.Dataset, ax: Axes | None = None) -> tuple[Figu
     colours = [TERM_COLOURS.get(term, "#000000") for term in terms]
     ax.barh(rows, middle, color=colours, alpha=0.8, height=0.68)
     around = np.nan_to_num([middle - low, high - middle]).clip(min=0)
-    ax.errorbar(middle, rows, xerr=around, fmt="none", ecolor="#333333", elinewidth=1.4, capsize=3)
+    ax.errorbar(middle, rows, xerr=around, fmt="none", ecolor="#000000", elinewidth=1.4, capsize=3)
     ax.set_yticks(rows, terms)
     ax.invert_yaxis()
     ax.set_xlim(0.0, 1.15 * float(np.nanmax(high, initial=1.0)))
@@ -169,4 +169,4 @@ def plot_force_arrows(
 
 def units(values: xr.DataArray) -> str:
     """Return the units of values as they are written in a figure."""
-    return str(values.attrs.get("units", "")).replace("^2", "²")
+    return format_unit(str(values.attrs.get("units", "")))

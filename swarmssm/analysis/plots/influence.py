@@ -12,11 +12,14 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch
 
 from swarmssm.analysis.plots.style import colour_of, new_axes, new_grid
+from swarmssm.analysis.table import format_unit
 
 __all__ = ["plot_influence", "plot_influence_matrix", "plot_influence_network", "plot_leadership"]
 
 COLOURS = "viridis"
 ARROW = "#7f7f7f"
+#: Ink on what is light in any page: plain black would become the page's own ink, light in the dark.
+DARK = "#111111"
 #: Names of the variables with pairs, and how their strength is called beside a colour bar.
 PAIRS = {
     "influence": "influence",
@@ -94,7 +97,7 @@ def plot_influence_network(
                 va="center",
                 fontsize=9,
                 zorder=4,
-                color="black" if known and shades(value) > 0.6 else "white",
+                color=DARK if known and shades(value) > 0.6 else "white",
                 parse_math=False,
             )
     ax.set_xlim(-1.25, 1.25)
@@ -291,6 +294,6 @@ def _draw_intervals(
 
 def _label(ax: Axes, axis: str, text: str, variable: xr.DataArray) -> None:
     """Label an axis, with the unit if there is one."""
-    unit = str(variable.attrs.get("units", ""))
-    text = text if unit in ("", "1") else f"{text} ({unit})"
+    unit = format_unit(str(variable.attrs.get("units", "")))
+    text = f"{text} ({unit})" if unit else text
     (ax.set_xlabel if axis == "x" else ax.set_ylabel)(text, parse_math=False)

@@ -19,6 +19,8 @@ from swarmssm.analysis.plots.style import colour_of, legend_below, new_axes, new
 __all__ = ["plot_force_maps", "plot_kernels", "plot_modulation"]
 
 NET = "#2f86c6"
+#: Ink on a map, which is light in any page.
+DARK = "#111111"
 #: Where fewer neighbours are than this share of the highest density, curves fade out.
 FADES_BELOW = 0.2
 #: The axes are made for distances at which there are neighbours, to this share of the most.
@@ -187,7 +189,7 @@ def plot_force_maps(
                 linewidth=0,
                 rasterized=True,
             )
-            ax.plot([0], [0], marker="^", color="#000000", markersize=9, linestyle="")
+            ax.plot([0], [0], marker="^", color=DARK, markersize=9, linestyle="")
             ax.set_aspect("equal", adjustable="box")
             ax.set_xlabel(f"left – right ({unit})" if unit else "left – right", parse_math=False)
             ax.set_ylabel(f"back – front ({unit})" if unit else "back – front", parse_math=False)

@@ -16,6 +16,8 @@ LEVEL = 0.05
 MOST = 24
 COLOURS = ("#2f86c6", "#cc5f00", "#009e73", "#c4679b", "#b8860b", "#8a6fc8")
 UNTRAINED = "#7f7f7f"
+#: Ink on what is light in any page, and lines that are faint on light and dark ones.
+DARK, FAINT = "#111111", "#7f7f7f"
 
 
 def plot_latents(
@@ -49,7 +51,7 @@ def plot_latents(
     figure, ax = new_axes(ax, (0.62 * len(columns) + 2.6, 0.26 * len(names) + 1.6))
     _heat(figure, ax, values[chosen], names, columns, "cross-validated R²")
     for row, column in np.argwhere(chance[chosen] <= LEVEL):
-        shade = "white" if values[chosen][row, column] > 0.5 else "black"
+        shade = "white" if values[chosen][row, column] > 0.5 else DARK
         ax.plot(column, row, ".", color=shade, markersize=4)
     left = len(best) - len(chosen)
     title = f"{probe} probe of one latent" + (
@@ -101,9 +103,9 @@ def plot_sources(
     ax.set_yticks(np.arange(len(sources)), labels)
     ax.set_ylim(len(sources) - 0.5, -0.5)
     ax.set_xlim(-0.13, 1.03)
-    ax.axvline(0.0, color="#bbbbbb", linewidth=0.8, zorder=0)
+    ax.axvline(0.0, color=FAINT, linewidth=0.8, zorder=0)
     for line in np.arange(len(sources) - 1) + 0.5:
-        ax.axhline(line, color="#e5e5e5", linewidth=0.8, zorder=0)
+        ax.axhline(line, color=FAINT, alpha=0.3, linewidth=0.8, zorder=0)
     ax.set_xlabel(f"cross-validated R² of the force ({probe} probe)")
     legend_below(ax)
     return figure, ax

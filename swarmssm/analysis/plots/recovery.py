@@ -7,14 +7,14 @@ import numpy.typing as npt
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullFormatter
+from matplotlib.ticker import NullFormatter
 
 from swarmssm.analysis.calibration.parameter_names import short_name
 from swarmssm.analysis.plots.style import INDIVIDUALS, log_scale, new_grid
 from swarmssm.analysis.recovery.table import factor_curve, gains_of
 from swarmssm.errors import InputError
 
-__all__ = ["plot_recovery"]
+__all__ = ["plot_recovery", "varied_factors"]
 
 TITLES = {
     "individuals": "individuals",
@@ -38,7 +38,8 @@ def plot_recovery(
     Parameters
     ----------
     recovery
-        From :func:`swarmssm.analysis.recovery_study`, one factor at a time.
+        From :func:`swarmssm.analysis.recovery_study`. Of a grid each panel has the medians over all
+        combinations with the same value of its factor.
     axes
         As many as factors; new ones if absent.
 
@@ -49,12 +50,12 @@ def plot_recovery(
     Raises
     ------
     InputError
-        If nothing was varied on its own.
+        If nothing was varied.
     """
-    varied = list(dict.fromkeys(str(name) for name in recovery["factor"].values))
-    factors = [name for name in varied if name not in ("base", "grid")]
+    factors = varied_factors(recovery)
     if not factors:
-        raise InputError("recovery: no factor was varied on its own; there is nothing to draw.")
+        raise InputError("recovery: no factor was varied; there is nothing to draw.")
+    in_grid = "grid" in recovery["factor"].values
     shape = () if axes is None else np.asarray(axes).shape
     columns = shape[-1] if shape else min(COLUMNS, len(factors))
     rows = -(-len(factors) // columns)
@@ -62,7 +63,7 @@ def plot_recovery(
     tolerance = float(recovery.attrs["tolerance"])
     names = gains_of(recovery)
     for ax, factor in zip(grid.flat, factors, strict=False):
-        curve = factor_curve(recovery, factor)
+        curve = _over_grid(recovery, factor) if in_grid else factor_curve(recovery, factor)
         _draw(ax, curve, factor, names)
         ax.axhline(tolerance, color="#7f7f7f", linestyle="--", linewidth=1.0)
     for place, ax in enumerate(grid.flat):
@@ -78,6 +79,41 @@ def plot_recovery(
     return figure, grid
 
 
+def varied_factors(recovery: xr.Dataset) -> list[str]:
+    """Return the factors of which there is more than one value.
+
+    Parameters
+    ----------
+    recovery
+        From :func:`swarmssm.analysis.recovery_study`.
+    """
+    varied = dict.fromkeys(str(name) for name in recovery["factor"].values)
+    if "grid" in varied:
+        return [name for name in TITLES if len(np.unique(recovery[name].dropna("setting"))) > 1]
+    return [name for name in varied if name != "base"]
+
+
+def _over_grid(recovery: xr.Dataset, factor: str) -> xr.Dataset:
+    """Return the medians over all settings that have the same value of a factor."""
+    values = recovery[factor].to_numpy()
+    known = np.unique(values[np.isfinite(values)])
+    medians = {}
+    for name in ("error", "width"):
+        own = recovery[name].transpose("setting", "parameter").to_numpy()
+        rows = [own[values == value] for value in known]
+        medians[name] = (
+            (factor, "parameter"),
+            [[_median(column) for column in one.T] for one in rows],
+        )
+    return xr.Dataset(medians, {factor: known, "parameter": recovery["parameter"].values})
+
+
+def _median(values: npt.NDArray[np.float64]) -> float:
+    """Return the median of what is known, NaN if nothing is."""
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else np.nan
+
+
 def _draw(ax: Axes, curve: xr.Dataset, factor: str, names: list[str]) -> None:
     """Draw one panel."""
     values = curve[factor].to_numpy()
@@ -89,8 +125,6 @@ def _draw(ax: Axes, curve: xr.Dataset, factor: str, names: list[str]) -> None:
         ax.plot(values, width, ":", color=colour, linewidth=1.0)
     ax.set_xscale("log")
     log_scale(ax)
-    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}".rstrip()))
-    ax.yaxis.set_minor_formatter(NullFormatter())
     ax.set_xticks(values, [f"{value:.3g}" for value in values])
     ax.xaxis.set_minor_formatter(NullFormatter())
     ax.set_xlabel(TITLES[factor], fontsize=9)

@@ -4,6 +4,7 @@ import numpy as np
 import xarray as xr
 
 from swarmssm.analysis.table import format_number as number
+from swarmssm.analysis.table import format_unit
 
 __all__ = ["in_a_frame", "modulation", "over_time", "pairs", "rotated", "single_latents"]
 
@@ -14,7 +15,7 @@ LEVEL = 0.05
 def over_time(forces: xr.Dataset) -> str:
     """Say between what the strength of the forces goes, and how wide the bands are."""
     one = forces["group_magnitude"].isel(trial=0)
-    unit = str(one.attrs.get("units", "")).replace("^2", "²")
+    unit = format_unit(str(one.attrs.get("units", "")))
     low, middle, high = one.transpose("quantile", "time", "term").to_numpy()
     parts, widths = [], []
     for index, term in enumerate(one["term"].to_numpy()):
@@ -110,7 +111,7 @@ def rotated(alignment: xr.Dataset) -> str:
     if "group" in purity.dims:
         purity = purity.sel(group="latents")
     parts = [
-        f"{axis} {min(100 * float(value), 100):.0f} %"
+        f"{axis} {100 * float(value):.0f} %"
         for axis, value in zip(alignment["axis"].to_numpy(), purity.to_numpy(), strict=True)
         if np.isfinite(value)
     ]
@@ -125,7 +126,7 @@ def rotated(alignment: xr.Dataset) -> str:
 
 def pairs(influence: xr.Dataset) -> str:
     """Say which pair is the strongest, and how unlike the two directions of pairs are."""
-    unit = str(influence["influence"].attrs.get("units", "")).replace("^2", "²")
+    unit = format_unit(str(influence["influence"].attrs.get("units", "")))
     low, middle, high = (
         influence["influence"].transpose("quantile", "individual", "neighbor").to_numpy()
     )

@@ -32,7 +32,9 @@ PRIORS = {
     "process_noise": "LogNormal(-1.9, 0.2)",
     "emission.noise": "LogNormal(-3.5, 0.2)",
 }
-TINY = {"frames": 8, "individuals": 2, "trials": 1, "priors": PRIORS, "draws": 19}
+TINY = {"frames": 5, "individuals": 2, "trials": 1, "priors": PRIORS, "draws": 19}
+#: With ranks of the states besides.
+PATHS = {"seed": 1, "path_draws": 3}
 
 
 def conjugate_ranks(number: int, draws: int, *, sd: float = 1.0, shift: float = 0.0) -> np.ndarray:
@@ -175,39 +177,55 @@ def test_the_prior_does_not_depend_on_the_tracks():
         assert float(mine.mean) == float(theirs.mean)
 
 
-def test_the_same_data_set_whatever_their_number(tmp_path):
-    few = simulation_based_calibration("linear", datasets=2, seed=3, **TINY)
-    more = simulation_based_calibration("linear", datasets=3, seed=3, **TINY)
-    assert more["truth"].values[:, :2].tolist() == few["truth"].values.tolist()
-    assert more["rank"].values[:, :2].tolist() == few["rank"].values.tolist()
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    """A study of two data sets and its file."""
+    out = tmp_path_factory.mktemp("study") / "sbc.jsonl"
+    return simulation_based_calibration("linear", datasets=2, out=out, **TINY, **PATHS), out
 
 
-def test_gone_on_with_after_a_power_cut(tmp_path):
+def test_the_same_data_set_whatever_their_number(study):
+    found, _ = study
+    alone = simulation_based_calibration("linear", datasets=1, **TINY, seed=PATHS["seed"])
+    parameters = alone["parameter"].values
+    own = found.sel(parameter=parameters)
+    assert alone["truth"].values[:, 0].tolist() == own["truth"].values[:, 0].tolist()
+    assert alone["rank"].values[:, 0].tolist() == own["rank"].values[:, 0].tolist()
+    assert (own["truth"].values[:, 0] != own["truth"].values[:, 1]).all()
+
+
+def test_gone_on_with_after_a_power_cut(study, tmp_path):
+    whole, kept = study
     out = tmp_path / "sbc.jsonl"
-    options = {**TINY, "seed": 1, "path_draws": 3}
-    whole = simulation_based_calibration("linear", datasets=3, out=out, **options)
-    data = out.read_bytes()
-    out.write_bytes(data[:-30])
+    out.write_bytes(kept.read_bytes()[:-30])
     told: list[Counted] = []
     again = simulation_based_calibration(
-        "linear", datasets=3, out=out, resume=True, progress=told.append, **options
+        "linear", datasets=2, out=out, resume=True, progress=told.append, **TINY, **PATHS
     )
-    assert [count.done for count in told] == [2, 3]
+    assert [count.done for count in told] == [1, 2]
     assert again.drop_vars("seconds").identical(whole.drop_vars("seconds"))
     states = [str(name) for name in whole["parameter"].values if str(name).startswith("states.")]
     assert states == list(calibration.STATE_QUANTITIES)
     with pytest.raises(InputError, match=r"other settings \(frames\)"):
         simulation_based_calibration(
-            "linear", datasets=3, out=out, resume=True, **{**options, "frames": 9}
+            "linear", datasets=2, out=out, resume=True, **{**TINY, **PATHS, "frames": 9}
         )
 
 
-def test_given_frames_are_none_unless_asked_for():
-    found = simulation_based_calibration("linear", datasets=1, **TINY)
-    told = json.loads(found.attrs["settings"])
-    assert told["fit"]["guide_options"] == {"given": 0}
-    asked = simulation_based_calibration("linear", datasets=1, guide_options={"given": 2}, **TINY)
-    assert json.loads(asked.attrs["settings"])["fit"]["guide_options"] == {"given": 2}
+def test_given_frames_are_none_unless_asked_for(study, monkeypatch):
+    found, _ = study
+    assert json.loads(found.attrs["settings"])["fit"]["guide_options"] == {"given": 0}
+    asked = []
+
+    def fit(*arguments, **settings):
+        asked.append(settings["guide_options"])
+        raise WorkError("No maximum.")
+
+    monkeypatch.setattr(calibration.inference, "fit", fit)
+    for options in ({}, {"guide_options": {"given": 2}}):
+        with pytest.raises(WorkError, match="fit: No maximum"):
+            simulation_based_calibration("linear", datasets=1, **options, **TINY)
+    assert asked == [{"given": 0}, {"given": 2}]
 
 
 def test_failures_are_counted_and_not_hidden(monkeypatch):

@@ -2,9 +2,12 @@
 
 import importlib
 import json
+import signal
 
 import pytest
+import torch
 
+from swarmssm.analysis.calibration import many_runs
 from swarmssm.analysis.calibration.many_runs import Counted, run_many
 from swarmssm.errors import InputError, WorkError
 
@@ -27,15 +30,24 @@ def interrupt_at_three(index):
 def elsewhere(tmp_path, monkeypatch):
     """Work that other processes can find: in a module on their path."""
     source = "import os\n\ndef square(i):\n    return {'value': i * i}\n\n"
-    (tmp_path / "work_elsewhere.py").write_text(source + "def die(i):\n    os._exit(1)\n")
+    source += "def die(i):\n    os._exit(1)\n\ndef begin():\n    pass\n\n"
+    source += "def threads(i):\n    import torch\n    return {'value': torch.get_num_threads()}\n"
+    (tmp_path / "work_elsewhere.py").write_text(source)
     monkeypatch.syspath_prepend(tmp_path)
     return importlib.import_module("work_elsewhere")
+
+
+@pytest.fixture
+def light(elsewhere, monkeypatch):
+    """Processes that import no torch, which takes each of them seconds."""
+    monkeypatch.setattr(many_runs, "_begin", elsewhere.begin)
 
 
 def values(rows):
     return [row["value"] for row in rows]
 
 
+@pytest.mark.usefixtures("light")
 @pytest.mark.parametrize("processes", [1, 2])
 def test_rows_come_in_order_and_stand_in_the_file(tmp_path, elsewhere, processes):
     out = tmp_path / "rows.jsonl"
@@ -44,6 +56,22 @@ def test_rows_come_in_order_and_stand_in_the_file(tmp_path, elsewhere, processes
     lines = [json.loads(line) for line in out.read_text().splitlines()]
     assert lines[0] == {"settings": {"a": 1}}
     assert sorted(line["index"] for line in lines[1:]) == [0, 1, 2, 3]
+
+
+@pytest.mark.slow
+def test_processes_begin_as_they_should(elsewhere):
+    assert values(run_many(elsewhere.threads, range(2), settings={}, processes=2)) == [1, 1]
+
+
+def test_a_process_has_one_thread_and_ends_when_told():
+    before = signal.getsignal(signal.SIGINT)
+    torch.set_num_threads(2)
+    try:
+        many_runs._begin()
+        assert torch.get_num_threads() == 1
+        assert signal.getsignal(signal.SIGINT) == signal.SIG_DFL
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def test_what_was_interrupted_is_gone_on_with(tmp_path):
@@ -117,6 +145,7 @@ def test_what_cannot_be_sent_to_another_process_is_said():
         run_many(lambda index: {}, range(2), settings={}, processes=2)
 
 
+@pytest.mark.usefixtures("light")
 def test_a_process_that_dies_does_not_hang(elsewhere):
     with pytest.raises(WorkError, match="ended from outside"):
         run_many(elsewhere.die, range(2), settings={}, processes=2)

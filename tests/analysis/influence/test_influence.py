@@ -271,5 +271,5 @@ def test_the_sentence_says_the_numbers(make_fit, make_kernels, tracks):
     found = influence(make_fit(tracks, make_kernels(influence=prior)), tracks, 2)
     text = sentence(found)
     assert text.startswith("1 moves the others most")
-    assert f"{float(found['leadership'].sel(individual='1', quantile=0.5)):.2g} cm/s^2" in text
+    assert f"{float(found['leadership'].sel(individual='1', quantile=0.5)):.2g} cm/s²" in text
     assert "1 is a leader (at a rate of false alarms of 5% or less)" in text

@@ -51,7 +51,7 @@ def test_the_ranking_has_the_leader_on_top(found):
     np.testing.assert_allclose(middle, np.sort(found["weight"].median("sample")), rtol=1e-6)
     assert [text.get_text() for text in ax.texts] == ["100%", "first"]
     _, ax = plot_leadership(found, by="outgoing")
-    assert "cm/s^2" in ax.get_xlabel()
+    assert "cm/s²" in ax.get_xlabel()
 
 
 def test_three_side_by_side(found):

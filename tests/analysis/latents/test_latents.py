@@ -10,7 +10,8 @@ import xarray as xr
 
 from swarmssm import forces
 from swarmssm.analysis.latents.alignment import compare_latents, latent_force_alignment, sentence
-from swarmssm.analysis.latents.rotations import nearest_rotation
+from swarmssm.analysis.latents.block_folds import Cells, block_folds
+from swarmssm.analysis.latents.rotations import nearest_rotation, rotated_axes
 from swarmssm.analysis.latents.samples import Samples
 from swarmssm.analysis.latents.sources import View, forces_on, latents_of, untrained
 from swarmssm.errors import InputError
@@ -80,8 +81,25 @@ def test_a_rotation_of_forces_tells_them_and_is_undone(rotated):
     np.testing.assert_allclose(direction @ direction.T, np.eye(4), atol=1e-9)
     np.testing.assert_allclose(direction, rotation[:, :4].T, atol=0.2)
     assert (found["purity"] > 0.97).all()
+    assert (found["purity"] <= 1).all()
     alone = found["axis_r2"].sel(group="latents").to_numpy()
     assert np.abs(alone - np.eye(4)).max() < 0.12
+
+
+def test_purity_is_a_share_of_what_all_latents_tell():
+    generator = np.random.default_rng(0)
+    force = generator.standard_normal((300, 1))
+    noise = generator.standard_normal((300, 2))
+    cells = Cells.of(np.arange(300), block_folds(np.ones((3, 100), dtype=bool), folds=3))
+    # The axis tells all of it: more than all latents were said to, and than nothing.
+    latents = np.concatenate([force, noise], 1)
+    assert rotated_axes(latents, force, cells, np.array([0.5])).purity == 1
+    assert np.isnan(rotated_axes(latents, force, cells, np.array([-0.1])).purity)
+    assert rotated_axes(latents, force, cells, np.array([1.0])).purity > 0.99
+    # An axis of noise does worse than the mean, in frames left out.
+    nothing = rotated_axes(noise, force, cells, np.array([0.5]))
+    assert nothing.r2 < 0
+    assert nothing.purity == 0
 
 
 def test_noise_tells_nothing(rotated):
@@ -222,7 +240,8 @@ def test_latents_of_a_graph_network(graph_fit, boids):
 
 
 def test_latents_of_named_forces_are_the_forces(boids):
-    known = fit(known_law, "linearized", boids.isel(time=slice(0, 30)), steps=2, graph="radius:2.5")
+    few = boids.isel(trial=slice(0, 1), time=slice(0, 10))
+    known = fit(known_law, "linearized", few, graph="radius:2.5", fractions=(1.0, 0.0, 0.0))
     tracks = boids.isel(time=slice(0, 40))
     latents = latents_of(known, tracks)
     values = known.guide.parameters_guide.median()
@@ -309,7 +328,8 @@ def test_state_space_models_of_positions_with_gaps(boids, model, guide):
     position[np.random.default_rng(0).random(position.shape[:3]) < 0.1] = np.nan
     position[0, :, 2] = np.nan
     tracks = make_tracks(position, fps=10.0)
-    run = fit(model, guide, tracks, steps=2, window=20, seed=0)
+    few = tracks.isel(trial=slice(1, 3), time=slice(0, 10))
+    run = fit(model, guide, few, steps=2, window=10, fractions=(1.0, 0.0, 0.0), seed=0)
     found = latent_force_alignment(run, tracks, **QUICK)
     assert found.attrs["truth"] == 0
     assert found["source_vector_r2"].notnull().all()
