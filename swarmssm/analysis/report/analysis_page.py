@@ -48,10 +48,11 @@ Drawing = tuple[str, str, Callable[[], tuple[Figure, Any]]]
 
 @dataclass(frozen=True)
 class Chapter:
-    """The figures of one analysis."""
+    """The figures of one analysis, and its sentence, which stands alone where there are none."""
 
     anchor: str
     heading: str
+    sentence: str
     pictures: list[Picture]
 
 
@@ -160,7 +161,9 @@ def _chapters(analysis: Analysis) -> list[Chapter]:
             ):
                 svg = as_svg(draw()[0], f"{name}-f{index}", f"{title}. {text}")
                 pictures.append(Picture(title, "", text, svg))
-            chapters.append(Chapter(name.replace("_", "-"), HEADINGS[name], pictures))
+            chapters.append(
+                Chapter(name.replace("_", "-"), HEADINGS[name], analysis.sentences[name], pictures)
+            )
     return chapters
 
 
