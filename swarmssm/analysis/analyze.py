@@ -131,6 +131,8 @@ def analyze(
         try:
             found[name], more = _ask(name, fit, tracks, paths, draws, seed, given.get(name, {}))
         except SwarmssmError as error:
+            if str(error).partition(":")[0] in given.get(name, {}):
+                raise
             refused.append(error)
             notes.append(f"Left out: {TITLES[name]}. {error}")
             continue

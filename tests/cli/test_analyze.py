@@ -56,6 +56,10 @@ MISTAKES = {
     "no point": (["{run}", "{flock}", "--set", "bins=3"], "ANALYSIS.OPTION"),
     "no value": (["{run}", "{flock}", "--set", "force_maps.bins"], "name=value"),
     "unknown option": (["{run}", "{flock}", "--set", "force_maps.bin=3"], "bins"),
+    "bad value": (
+        ["{run}", "{flock}", "--only", "force_maps,forces", "--set", "force_maps.bins=abc"],
+        "bins",
+    ),
     "one file": (["{run}", "{flock}", "--report", "a.nc"], "cannot be one file"),
     "no folder": (["{run}", "{flock}", "--report", "none/a.html"], "none"),
 }
