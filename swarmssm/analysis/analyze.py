@@ -12,6 +12,7 @@ import xarray as xr
 
 import swarmssm
 from swarmssm.analysis.analyzed import ANALYSES, Analysis
+from swarmssm.analysis.extrapolation import beyond_training
 from swarmssm.analysis.forces.maps import force_maps
 from swarmssm.analysis.forces.maps import sentence as maps_sentence
 from swarmssm.analysis.forces.posterior import TERMS, force_summary, posterior_forces
@@ -117,6 +118,7 @@ def analyze(
         raise InputError(f"seed: it must not be negative, and it is {seed}.")
     tracks, notes = _part(fit, validate_tracks(tracks), part)
     fit.prepare(tracks)
+    notes += [note for note in (beyond_training(fit, tracks).note,) if note]
     show = progress or (lambda name: None)
     paths = None
     if set(chosen) - {"latents"}:

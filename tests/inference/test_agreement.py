@@ -134,6 +134,22 @@ def test_those_that_agree_pass_and_nothing_is_changed(number):
         assert guide.training
 
 
+def test_a_prior_whose_swarms_fly_apart_is_no_fault():
+    """What counts is whether the density of the guide's own draws is a number."""
+
+    class Bursting(Wandering):
+        def velocity(self, positions, velocities, inputs):
+            # Who moves at all is at infinity minus infinity soon.
+            return dist.Normal(1e30 * (velocities**5 - velocities**3), 1e30).to_event(1)
+
+    model = StateSpaceModel(
+        InitialStates(torch.zeros(4), torch.ones(4)), Bursting(), PositionEmission(2, 0.1)
+    )
+    with pyro.validation_enabled(True), pytest.raises(ValueError, match="invalid values"):
+        model(windows(2))
+    check_agreement(model, Drawn(model), windows(2))
+
+
 def test_layers_of_normalisation_are_not_moved():
     model, guide = GraphVAE(4), GraphEncoderGuide(4)
     model.norm = torch.nn.BatchNorm1d(4)
