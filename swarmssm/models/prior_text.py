@@ -14,7 +14,7 @@ from torch.distributions import constraints
 from swarmssm.errors import InputError
 from swarmssm.models.supports import describe
 
-__all__ = ["EXAMPLE", "PRIORS", "parse_distribution"]
+__all__ = ["EXAMPLE", "PRIORS", "distribution_text", "parse_distribution"]
 
 #: Distributions that may be written as text: continuous ones whose parameters are numbers.
 PRIORS = (
@@ -41,6 +41,8 @@ PRIORS = (
     "VonMises",
     "Weibull",
 )
+#: Numbers of one argument that are written out.
+WRITTEN = 4
 #: An example for each kind of mistake.
 EXAMPLE = "Write for instance LogNormal(-1, 0.5) or Normal(loc=[0, 0], scale=2)."
 
@@ -110,6 +112,47 @@ def parse_distribution(text: str) -> Any:
     except (TypeError, ValueError, RuntimeError, IndexError):
         raise InputError(f"prior: {text!r} is not possible: {_reason(given, build)}") from None
     return made.to_event(len(made.batch_shape)) if made.batch_shape else made
+
+
+def distribution_text(distribution: Any) -> str:
+    """Write a distribution as :func:`parse_distribution` reads it, as far as that is possible.
+
+    Parameters
+    ----------
+    distribution
+        Of Pyro's or torch's; independence over an event is not written. An argument of one value
+        throughout is written as one number, one of more than four different numbers as how many
+        they are. What has no arguments that are numbers is its name alone.
+    """
+    while isinstance(
+        distribution,
+        torch.distributions.Independent | dist.ExpandedDistribution | dist.MaskedDistribution,
+    ):
+        distribution = distribution.base_dist
+    written = []
+    for name in _arguments(type(distribution)):
+        # Of several ways to give one thing only that which was taken is stored; lazy properties
+        # would compute the others.
+        kind = inspect.getattr_static(type(distribution), name, None)
+        stored = name in vars(distribution) or isinstance(kind, property)
+        value = getattr(distribution, name, None) if stored else None
+        if isinstance(value, torch.Tensor):
+            written.append(_written(value.detach()))
+    return (
+        f"{type(distribution).__name__}({', '.join(written)})"
+        if written
+        else (type(distribution).__name__)
+    )
+
+
+def _written(value: torch.Tensor) -> str:
+    """Return a number, a list of few, or how many they are."""
+    numbers = value.flatten().tolist()
+    if numbers and all(number == numbers[0] for number in numbers):
+        return f"{numbers[0]:.4g}"
+    if value.dim() < 2 and len(numbers) <= WRITTEN:
+        return f"[{', '.join(f'{number:.4g}' for number in numbers)}]"
+    return f"{' x '.join(map(str, value.shape))} numbers"
 
 
 def _arguments(build: Any) -> dict[str, bool]:

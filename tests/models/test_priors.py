@@ -22,6 +22,7 @@ from swarmssm.models import (
     with_priors,
 )
 from swarmssm.models.parameters import priors_of
+from swarmssm.models.prior_text import distribution_text
 from swarmssm.models.priors import PRIORS
 from swarmssm.models.supports import covers, describe
 
@@ -59,6 +60,45 @@ def test_a_text_is_the_distribution_that_it_names(text, same):
     assert found.event_shape == same.batch_shape + same.event_shape
     value = same.sample()
     torch.testing.assert_close(found.log_prob(value), same.log_prob(value).sum())
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "LogNormal(-1, 0.5)",
+        "Normal([0, 1], [1, 2])",
+        "Normal(0, [1, 2, 3, 4])",
+        "Beta(2, 3)",
+        "Chi2(3)",
+        "Gamma(2, 0.25)",
+        "Uniform(-0.5, 3)",
+        "Weibull(1, 2)",
+        "HalfCauchy(2)",
+    ],
+)
+def test_a_prior_is_written_as_it_is_read(text):
+    found = parse_distribution(text)
+    again = parse_distribution(distribution_text(found))
+    assert distribution_text(found).startswith(text.partition("(")[0])
+    pyro.set_rng_seed(0)
+    drawn = found.sample((5,))
+    torch.testing.assert_close(again.log_prob(drawn), found.log_prob(drawn))
+
+
+@pytest.mark.parametrize(
+    ("distribution", "text"),
+    [
+        (dist.Normal(0.0, 1.0).expand([12]).to_event(1), "Normal(0, 1)"),
+        (dist.Normal(torch.zeros(5), torch.arange(1.0, 6.0)), "Normal(0, 5 numbers)"),
+        (
+            dist.MultivariateNormal(torch.zeros(2), 3 * torch.eye(2)),
+            "MultivariateNormal(0, 2 x 2 numbers)",
+        ),
+        (dist.LogNormal(-1 / 3, 2.0), "LogNormal(-0.3333, 2)"),
+    ],
+)
+def test_a_prior_too_long_to_write_is_counted(distribution, text):
+    assert distribution_text(distribution) == text
 
 
 @pytest.mark.parametrize("name", PRIORS)

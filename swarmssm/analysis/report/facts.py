@@ -9,6 +9,8 @@ from swarmssm.analysis.evaluation import Evaluation
 from swarmssm.analysis.table import NOTHING
 from swarmssm.analysis.table import format_number as number
 from swarmssm.inference import Fit
+from swarmssm.models.prior_text import distribution_text
+from swarmssm.models.priors import parameters_of
 from swarmssm.summary import summarize
 
 __all__ = ["data_facts", "model_facts", "parameter_rows", "provenance_facts", "scoring_facts"]
@@ -33,11 +35,48 @@ IN_WORDS = {
         "drawn from N(0, I), is decoded into its next state, and each pair's into their next edge. "
         "Nothing links one frame's latent states to the next."
     ),
+    "boids": (
+        "A state-space model of positions and velocities. Each individual is pulled towards those "
+        "it sees (cohesion), pushed from them (separation), and turned to their velocities "
+        "(alignment), with gains that are inferred, besides walls, speed regulation and noise; "
+        "positions are seen with tracking noise."
+    ),
+    "kernel": (
+        "A state-space model of positions and velocities. What a neighbour does to an individual "
+        "is a smooth curve of its distance, one for the pull or push and one for alignment, "
+        "besides walls, speed regulation and noise; positions are seen with tracking noise."
+    ),
+    "graph-ssm": (
+        "A state-space model of positions and velocities, whose accelerations a graph network "
+        "makes of what each individual sees of the others, alike under rotation, reflection and "
+        "translation unless place matters; positions are seen with tracking noise."
+    ),
+    "linear": (
+        "A state-space model whose next state is a linear function of the present one, plus "
+        "noise: what a Kalman filter solves exactly."
+    ),
     "encoder": (
         "The thesis's encoder: a gated graph network and graph convolutions read each frame's "
         "states along its interaction graph, and give mean and variance of the latent states."
     ),
+    "linearized": (
+        "The states are summed out by a Kalman smoother about their own path (exactly, where the "
+        "model is linear and normal); the parameters are normal about their mode, moved to where "
+        "the ELBO is highest."
+    ),
+    "markov": (
+        "Each state given the one before is normal, with means and spreads learned for each "
+        "frame: what a smoother says, without its equations. The parameters have a guide of "
+        "their own."
+    ),
+    "smoothing": (
+        "Each state is normal by itself, about the mean of a smoother that a network corrects: "
+        "means are good, spreads too narrow. The parameters have a guide of their own."
+    ),
+    "parameters": "The states are known as they are observed; only the parameters are inferred.",
 }
+#: Of a prior that is a function of other parameters.
+DEPENDENT = "given others"
 
 
 def data_facts(fit: Fit, tracks: xr.Dataset, part: str, what: str = "scored part") -> Facts:
@@ -89,23 +128,38 @@ def model_facts(fit: Fit) -> Facts:
 
 
 def parameter_rows(fit: Fit) -> list[dict[str, str]]:
-    """Return the posterior of the parameters that have a prior, a row each; none without any.
+    """Return prior and posterior of the parameters that have a prior, a row each; none without any.
 
     Of one that has many numbers there is a row that says so.
     """
     table = fit.parameter_table()
     columns = {"mean": "mean", "sd": "sd", "5 %": "low", "95 %": "high"}
     sizes = Counter(str(name).partition("[")[0] for name in table.index)
+    priors = _priors(fit)
     rows = []
     for name in map(str, table.index):
         own, place, _ = name.partition("[")
         if sizes[own] <= MOST_ROWS:
             values = {t: number(float(table[c].loc[name])) for t, c in columns.items()}
-            rows.append({"parameter": name} | values)
+            rows.append({"parameter": name, "prior": priors.get(own, NOTHING)} | values)
         elif place and not any(row["parameter"].startswith(f"{own}:") for row in rows):
             blank = dict.fromkeys(columns, NOTHING)
-            rows.append({"parameter": f"{own}: {sizes[own]} numbers"} | blank)
+            row = {"parameter": f"{own}: {sizes[own]} numbers", "prior": priors.get(own, NOTHING)}
+            rows.append(row | blank)
     return rows
+
+
+def _priors(fit: Fit) -> dict[str, str]:
+    """Return the priors of parameters as text, by full name and by the last part of it."""
+    texts = {}
+    for full, (module, attribute) in parameters_of(fit.model).items():
+        sample = vars(module).get("_pyro_samples", {}).get(attribute)
+        if sample is None:
+            continue
+        prior = getattr(sample, "prior", sample)
+        known = hasattr(prior, "log_prob")
+        texts[full] = distribution_text(prior) if known else DEPENDENT
+    return {full.rpartition(".")[2]: text for full, text in texts.items()} | texts
 
 
 def provenance_facts(fit: Fit) -> Facts:
