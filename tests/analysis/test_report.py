@@ -110,15 +110,15 @@ def test_what_is_linked_to_is_there(page):
 
 def test_each_figure_has_words_for_those_who_do_not_see_it(page):
     pictures = page.named("svg")
-    assert len(pictures) == 18
+    assert len(pictures) == 22
     for attrs in pictures:
         assert attrs["role"] == "img"
         assert len(attrs["aria-label"]) > 20
-    assert len(page.named("figcaption")) == 18
+    assert len(page.named("figcaption")) == 22
     for attrs in page.named("img"):
         assert attrs.get("alt")
     titles = [data for tag, data in page.text if tag == "title"]
-    assert len(titles) == 19
+    assert len(titles) == 23
 
 
 @pytest.mark.usefixtures("no_pictures")
@@ -155,7 +155,7 @@ def test_it_has_the_log_scores_and_the_posterior_of_named_parameters(
     row = horizon_table(evaluation, "log_score")[0]
     assert set(row.values()) - {"graph-vae"} <= set(page.words().split())
     assert "Log score of positions" in page.words()
-    assert "Posterior of the named parameters, with" not in page.words()
+    assert "Prior and posterior of the named parameters, with" not in page.words()
     gains = pd.DataFrame(
         {"mean": 0.4321, "sd": 0.01, "low": 0.41, "high": 0.45},
         index=["cohesion_gain", *(f"weight[{i}]" for i in range(30))],
@@ -164,7 +164,7 @@ def test_it_has_the_log_scores_and_the_posterior_of_named_parameters(
     monkeypatch.setattr(Fit, "parameter_table", lambda fit: gains)
     fit = inference.fit("graph-vae", "encoder", boids, epochs=1, seed=0)
     words = Page(build_report([section_of("Run", fit, boids, evaluation)])).words()
-    assert "Posterior of the named parameters, with" in words
+    assert "Prior and posterior of the named parameters, with" in words
     assert "cohesion_gain" in words
     assert "0.432" in words
     assert words.count("weight: 30 numbers") == 1
@@ -231,12 +231,15 @@ def test_glyphs_that_matplotlib_lacks_are_no_trouble(planted):
 
 @pytest.mark.usefixtures("no_pictures")
 def test_the_tracks_of_others_need_no_attribution(planted, quick_fit, boids):
-    labels = [label for label, _ in section_of("Run", quick_fit, boids, planted()).data]
-    assert "license" not in labels
+    def facts(tracks):
+        chapters = section_of("Run", quick_fit, tracks, planted()).chapters
+        assert chapters[0].heading == "Data"
+        return chapters[0].blocks[0].rows
+
+    assert "license" not in dict(facts(boids))
     credited = boids.assign_attrs(license="CC BY 4.0", attribution="Someone (2020)")
-    section = section_of("Run", quick_fit, credited, planted())
-    assert ("license", "CC BY 4.0") in section.data
-    assert ("attribution", "Someone (2020)") in section.data
+    assert ("license", "CC BY 4.0") in facts(credited)
+    assert ("attribution", "Someone (2020)") in facts(credited)
 
 
 @pytest.mark.usefixtures("no_pictures")

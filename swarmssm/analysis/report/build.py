@@ -1,19 +1,17 @@
 """From sections to one self-contained HTML file."""
 
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import xarray as xr
 
-import swarmssm
 from swarmssm.analysis.evaluate import evaluate
 from swarmssm.analysis.evaluation import Evaluation
+from swarmssm.analysis.report.page import render, write_page
 from swarmssm.analysis.report.sections import Section, section_of
 from swarmssm.errors import InputError
-from swarmssm.files import check_output, write_beside
+from swarmssm.files import check_output
 from swarmssm.inference import Fit
 
 __all__ = ["build_report", "report_many", "report_run", "write_report"]
@@ -40,22 +38,6 @@ def build_report(sections: Sequence[Section], title: str = "swarmssm report") ->
     if len(set(anchors)) < len(anchors):
         raise InputError(f"sections: their anchors must differ, and they are {', '.join(anchors)}.")
     return render("page.html", title=title, sections=sections)
-
-
-def render(template: str, **values: Any) -> str:
-    """Return a page of this folder, filled."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("swarmssm.analysis.report", "."),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
-    return environment.get_template(template).render(
-        version=swarmssm.__version__,
-        written=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        **values,
-    )
 
 
 def write_report(
@@ -89,13 +71,6 @@ def write_report(
     """
     path = check_output(Path(path), overwrite=overwrite)
     return write_page(build_report(sections, title), path, overwrite=overwrite)
-
-
-def write_page(page: str, path: Path, *, overwrite: bool) -> Path:
-    """Write a page, beside and renamed; return its path."""
-    with write_beside(path, overwrite=overwrite) as temporary:
-        temporary.write_text(page, encoding="utf-8")
-    return path
 
 
 def report_run(

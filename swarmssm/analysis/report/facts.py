@@ -13,7 +13,14 @@ from swarmssm.models.prior_text import distribution_text
 from swarmssm.models.priors import parameters_of
 from swarmssm.summary import summarize
 
-__all__ = ["data_facts", "model_facts", "parameter_rows", "provenance_facts", "scoring_facts"]
+__all__ = [
+    "data_facts",
+    "model_facts",
+    "parameter_rows",
+    "presence_sentence",
+    "provenance_facts",
+    "scoring_facts",
+]
 
 Facts = list[tuple[str, str]]
 
@@ -109,6 +116,23 @@ def data_facts(fit: Fit, tracks: xr.Dataset, part: str, what: str = "scored part
         (label, str(tracks.attrs[name])) for name, label in ORIGIN.items() if tracks.attrs.get(name)
     ]
     return facts
+
+
+def presence_sentence(tracks: xr.Dataset) -> str:
+    """Return how complete the recording is, and whose it is least."""
+    found = summarize(tracks)
+    text = f"{100 * found['observed']:.1f} % of individuals and frames are tracked"
+    if not found["gaps"]:
+        return f"{text}; there is no gap."
+    tracked = tracks["position"].notnull().all("space")
+    share = tracked.mean([name for name in tracked.dims if name != "individual"])
+    worst = share.isel(individual=int(share.argmin()))
+    name = str(worst["individual"].item())
+    return (
+        f"{text}, with {found['gaps']} gaps, the longest of {found['longest_gap']} frames; "
+        f"individual {name} is tracked least, {100 * float(worst):.0f} %. What lies in a gap is "
+        "inferred by a state-space model, and left out by any other."
+    )
 
 
 def model_facts(fit: Fit) -> Facts:

@@ -1,7 +1,7 @@
-"""One run as a section of a report: facts, scores, figures, and a sentence on each."""
+"""One run as a section of a report: data, model, training, forecasts, and what was asked more."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,12 +11,16 @@ from matplotlib.figure import Figure
 
 from swarmssm.analysis import plots
 from swarmssm.analysis.evaluation import Evaluation
+from swarmssm.analysis.plots.model_graph import plot_model
+from swarmssm.analysis.plots.presence import plot_presence
 from swarmssm.analysis.report import sentences
+from swarmssm.analysis.report.blocks import Chapter, Facts, Fragment, Notes, Picture, Table
 from swarmssm.analysis.report.embed import as_svg, house_style
 from swarmssm.analysis.report.facts import (
     data_facts,
     model_facts,
     parameter_rows,
+    presence_sentence,
     provenance_facts,
     scoring_facts,
 )
@@ -26,18 +30,10 @@ from swarmssm.inference import Fit
 
 __all__ = ["Picture", "Section", "section_of"]
 
-Rows = list[dict[str, str]]
-Facts = list[tuple[str, str]]
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A figure with its title, what is to be seen, and the thesis's figures that it redoes."""
-
-    title: str
-    thesis: str
-    sentence: str
-    svg: Markup
+PLAYER = (
+    "Left what was seen, right a free run of the model from the first frame shown, with its noise "
+    "drawn: what the model takes for possible, not what it expects."
+)
 
 
 @dataclass(frozen=True)
@@ -50,35 +46,15 @@ class Section:
         Heading, and its place in the page.
     verdict, reasons
         One sentence that sums up, and those that it rests on.
-    data, model, provenance
-        Facts, label and text.
-    parameters
-        Posterior of the parameters that have a prior; empty without any.
-    scores, horizons, log_scores, edges
-        Tables, rows of column title and text.
-    footnote
-        To the thesis's rows; empty if there are none.
-    notes
-        What a reader of the scores has to know.
-    pictures
-        Figures.
+    chapters
+        What it rests on in turn: data, model, training, forecasts and so on.
     """
 
     title: str
     anchor: str
     verdict: str
     reasons: list[str]
-    data: Facts
-    model: Facts
-    parameters: Rows
-    provenance: Facts
-    scores: Rows
-    horizons: Rows
-    log_scores: Rows
-    edges: Rows
-    footnote: str
-    notes: list[str]
-    pictures: list[Picture]
+    chapters: list[Chapter]
 
 
 def section_of(
@@ -89,6 +65,8 @@ def section_of(
     *,
     anchor: str = "run",
     thesis: str | None = "auto",
+    further: Sequence[Chapter] = (),
+    player: Markup | None = None,
 ) -> Section:
     """Return the section on one run.
 
@@ -103,29 +81,133 @@ def section_of(
     thesis
         Which of the thesis's tables to print beside, see
         :func:`swarmssm.analysis.table.scores_table`.
+    further
+        Chapters that stand between forecasts and provenance.
+    player
+        Tracks that move, at the head of the forecasts, see
+        :func:`swarmssm.analysis.report.player.player_fragment`.
     """
     if thesis == "auto":
         thesis = str(evaluation.settings["thesis"])
     anchor = re.sub(r"[^A-Za-z0-9_-]+", "-", anchor) or "run"
     verdict, reasons = sentences.verdict(evaluation)
-    scores = scores_table(evaluation, thesis)
-    return Section(
-        title,
-        anchor,
-        verdict,
-        reasons,
-        data_facts(fit, tracks, str(evaluation.settings["part"])),
-        model_facts(fit),
-        parameter_rows(fit),
-        provenance_facts(fit) + scoring_facts(evaluation),
-        scores,
-        horizon_table(evaluation),
-        horizon_table(evaluation, "log_score"),
-        edge_table(evaluation),
-        FOOTNOTE if thesis else "",
-        list(evaluation.notes),
-        _pictures(anchor, evaluation),
+    with house_style():
+        chapters = [
+            _data(anchor, fit, tracks, evaluation),
+            _model(anchor, fit),
+            _training(anchor, evaluation),
+            _forecasts(anchor, evaluation, thesis, player),
+            *further,
+            Chapter(
+                "provenance",
+                "Provenance",
+                [
+                    Facts(
+                        "Versions, data and digests",
+                        provenance_facts(fit) + scoring_facts(evaluation),
+                    )
+                ],
+            ),
+        ]
+    return Section(title, anchor, verdict, reasons, [own for own in chapters if own.blocks])
+
+
+def _data(anchor: str, fit: Fit, tracks: xr.Dataset, evaluation: Evaluation) -> Chapter:
+    """Return what was recorded, with its gaps."""
+    part = str(evaluation.settings["part"])
+    return Chapter(
+        "data",
+        "Data",
+        [
+            Facts("The recording", data_facts(fit, tracks, part)),
+            _picture(
+                anchor,
+                "presence",
+                "Who was tracked when",
+                "",
+                presence_sentence(tracks),
+                lambda: plot_presence(tracks),
+            ),
+        ],
     )
+
+
+def _model(anchor: str, fit: Fit) -> Chapter:
+    """Return the model in words, as a graph, with priors and posteriors."""
+    known = "Shaded is what is observed; an arrow leads from what a variable is drawn given."
+    return Chapter(
+        "model",
+        "Model",
+        [
+            Facts("Model, guide and settings of the fit", model_facts(fit)),
+            _picture(
+                anchor, "model-graph", "The model as a graph", "", known, lambda: plot_model(fit)
+            ),
+            Table(
+                "Prior and posterior of the named parameters, with the ends of the central 90 % "
+                "interval",
+                parameter_rows(fit),
+                "plain",
+            ),
+        ],
+    )
+
+
+def _training(anchor: str, evaluation: Evaluation) -> Chapter:
+    """Return the course of the loss."""
+    history = evaluation.history
+    if not history.sizes.get("epoch"):
+        return Chapter("training", "Training")
+    picture = _picture(
+        anchor,
+        "training",
+        "Training",
+        "4.9, 4.10",
+        sentences.training_sentence(history),
+        lambda: plots.plot_training(history),
+    )
+    return Chapter("training", "Training", [picture])
+
+
+def _forecasts(
+    anchor: str, evaluation: Evaluation, thesis: str | None, player: Markup | None
+) -> Chapter:
+    """Return scores and pictures of what the model says of frames it has not seen."""
+    tables = [
+        Table(
+            "One step ahead, free runs, and the next graph",
+            scores_table(evaluation, thesis),
+            footnote=FOOTNOTE if thesis else "",
+        ),
+        Table(
+            "Mean squared error of scaled states at so many steps ahead", horizon_table(evaluation)
+        ),
+        Table(
+            "Log score of positions at so many steps ahead, nats per coordinate (higher is better)",
+            horizon_table(evaluation, "log_score"),
+        ),
+        Table("The next interaction graph, means over time", edge_table(evaluation)),
+    ]
+    moving = [] if player is None else [Fragment("The swarm in motion", PLAYER, player)]
+    return Chapter(
+        "forecasts",
+        "Forecasts",
+        [*tables, Notes(list(evaluation.notes)), *moving, *_pictures(anchor, evaluation)],
+    )
+
+
+def _picture(
+    anchor: str,
+    name: str,
+    title: str,
+    thesis: str,
+    sentence: str,
+    draw: Callable[[], tuple[Figure, Any]],
+) -> Picture:
+    """Draw a figure."""
+    sentence = sentence or "There is not enough data to score here."
+    svg = as_svg(draw()[0], f"{anchor}-{name}", f"{title}. {sentence}")
+    return Picture(title, thesis, sentence, svg)
 
 
 def _errors_ahead(evaluation: Evaluation) -> tuple[Figure, Any]:
@@ -178,12 +260,6 @@ def _pictures(anchor: str, evaluation: Evaluation) -> list[Picture]:
             lambda: plots.plot_collective(evaluation.collective, score="avd", unit=unit),
         ),
         (
-            "Training",
-            "4.9, 4.10",
-            sentences.training_sentence(evaluation.history),
-            lambda: plots.plot_training(evaluation.history),
-        ),
-        (
             "Error against the number of steps ahead",
             "4.11, 4.12",
             sentences.horizon_sentence(evaluation),
@@ -196,13 +272,7 @@ def _pictures(anchor: str, evaluation: Evaluation) -> list[Picture]:
             lambda: plots.plot_random_starts(evaluation.random_starts),
         ),
     ]
-    pictures = []
-    with house_style():
-        for index, (title, thesis, sentence, draw) in enumerate(drawn):
-            if title == "Training" and not evaluation.history.sizes.get("epoch"):
-                continue
-            sentence = sentence or "There is not enough data to score here."
-            alt = f"{title}. {sentence}"
-            svg = as_svg(draw()[0], f"{anchor}-f{index}", alt)
-            pictures.append(Picture(title, thesis, sentence, svg))
-    return pictures
+    return [
+        _picture(anchor, f"f{index}", title, thesis, sentence, draw)
+        for index, (title, thesis, sentence, draw) in enumerate(drawn)
+    ]
