@@ -27,6 +27,8 @@ from swarmssm.analysis.kernels.truth import kernel_agreement, true_kernels
 from swarmssm.analysis.latents.alignment import latent_force_alignment
 from swarmssm.analysis.latents.alignment import sentence as latents_sentence
 from swarmssm.analysis.motion import PosteriorPaths, posterior_paths
+from swarmssm.analysis.scores.backtest import backtest
+from swarmssm.analysis.scores.sentence import sentence as scores_sentence
 from swarmssm.analysis.subject import same_tracks
 from swarmssm.errors import InputError, SwarmssmError
 from swarmssm.inference import Fit
@@ -46,6 +48,7 @@ TITLES = {
     "force_maps": "force maps",
     "latents": "latents against forces",
     "influence": "influence",
+    "scores": "held-out scores",
     "parameters": "parameters",
 }
 #: What answers each question.
@@ -55,6 +58,7 @@ FUNCTIONS: dict[str, Callable[..., xr.Dataset]] = {
     "force_maps": force_maps,
     "latents": latent_force_alignment,
     "influence": influence,
+    "scores": backtest,
 }
 SENTENCES: dict[str, Callable[[xr.Dataset], str]] = {
     "forces": forces_sentence,
@@ -62,9 +66,11 @@ SENTENCES: dict[str, Callable[[xr.Dataset], str]] = {
     "force_maps": maps_sentence,
     "latents": latents_sentence,
     "influence": influence_sentence,
+    "scores": scores_sentence,
 }
-#: Decided here for all of them.
-SHARED = ("fit", "tracks", "draws", "seed", "paths")
+#: Decided here for all of them; the draws of forecasts are others than those of paths.
+SHARED = {"fit", "fits", "tracks", "draws", "seed", "paths", "progress"}
+OWN = {"scores": {"draws"}}
 
 
 def analyze(
@@ -75,6 +81,7 @@ def analyze(
     part: str = "all",
     seed: int = 0,
     only: Sequence[str] | None = None,
+    rivals: Mapping[str, Fit] | None = None,
     options: Mapping[str, Mapping[str, Any]] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Analysis:
@@ -98,8 +105,13 @@ def analyze(
         Of all draws.
     only
         Which analyses, of :data:`swarmssm.analysis.analyzed.ANALYSES`; absent, all.
+    rivals
+        Other fits, by name: the held-out scores of all of them are added, see
+        :func:`swarmssm.analysis.scores.backtest`. Empty: beside the simple rivals alone; absent:
+        nothing is scored.
     options
-        Further arguments of each, such as ``{"force_maps": {"bins": 21}}``.
+        Further arguments of each, such as ``{"force_maps": {"bins": 21}}``; those of the backtest
+        are ``"scores"``.
     progress
         Called before each analysis with its name, and before all with ``"paths"``, when the draws
         are made that they share.
@@ -112,11 +124,14 @@ def analyze(
     """
     chosen = _chosen(only)
     given = _options(options)
+    if rivals is None and "scores" in given:
+        raise InputError("options: scores are made only beside rivals. Name them, or none of them.")
     if draws < 1:
         raise InputError(f"draws: there must be at least 1, not {draws}.")
     if seed < 0:
         raise InputError(f"seed: it must not be negative, and it is {seed}.")
-    tracks, notes = _part(fit, validate_tracks(tracks), part)
+    whole = validate_tracks(tracks)
+    tracks, notes = _part(fit, whole, part)
     fit.prepare(tracks)
     notes += [note for note in (beyond_training(fit, tracks).note,) if note]
     show = progress or (lambda name: None)
@@ -141,6 +156,9 @@ def analyze(
         notes += more
     if not found:
         raise refused[0]
+    if rivals is not None:
+        show("scores")
+        found["scores"] = backtest(_named(fit, rivals), whole, seed=seed, **given.get("scores", {}))
     sentences = {name: SENTENCES[name](dataset) for name, dataset in found.items()}
     table = fit.parameter_table(seed=seed)
     if len(table):
@@ -155,6 +173,16 @@ def analyze(
         "version": swarmssm.__version__,
     }
     return Analysis(**found, sentences=sentences, settings=settings, notes=tuple(notes))
+
+
+def _named(fit: Fit, rivals: Mapping[str, Fit]) -> dict[str, Fit]:
+    """Return all fits by name, that which is asked first."""
+    name = fit.settings.model
+    if name in rivals:
+        raise InputError(
+            f"rivals: {name!r} is the name of the fit itself. Name the rival otherwise."
+        )
+    return {name: fit, **rivals}
 
 
 def _chosen(only: Sequence[str] | None) -> tuple[str, ...]:
@@ -174,8 +202,9 @@ def _options(options: Mapping[str, Mapping[str, Any]] | None) -> Mapping[str, Ma
     options = options or {}
     for name, values in options.items():
         if name not in FUNCTIONS:
-            raise InputError(f"options: {name!r} is unknown; choose of {', '.join(ANALYSES)}.")
-        known = [key for key in inspect.signature(FUNCTIONS[name]).parameters if key not in SHARED]
+            raise InputError(f"options: {name!r} is unknown; choose of {', '.join(FUNCTIONS)}.")
+        shared = SHARED - OWN.get(name, set())
+        known = [key for key in inspect.signature(FUNCTIONS[name]).parameters if key not in shared]
         for key in values:
             if key not in known:
                 has = f"it has {', '.join(known)}" if known else "it has none"

@@ -11,8 +11,10 @@ from swarmssm.errors import InputError
 
 __all__ = ["ANALYSES", "FORMAT", "Analysis"]
 
-#: The questions, in the order in which they are asked and told.
+#: The questions to one fit, in the order in which they are asked and told.
 ANALYSES = ("forces", "kernels", "force_maps", "latents", "influence")
+#: What stands beside the answers.
+BESIDE = ("scores", "parameters")
 #: Stands at the root of a file of an analysis.
 FORMAT = "swarmssm analysis 1"
 
@@ -44,6 +46,9 @@ class Analysis:
         Of :func:`swarmssm.analysis.influence.influence`, with ``leader_alarm``, ``leads`` and
         ``loner (individual)`` of :mod:`swarmssm.analysis.influence.leaders`, decided at the rate
         ``attrs["leader_rate"]``.
+    scores
+        Of :func:`swarmssm.analysis.scores.backtest`: forecasts of held-out frames by the fit and
+        its rivals.
     parameters
         ``mean``, ``sd``, ``low`` and ``high (parameter)`` of the parameters that have a prior, see
         :meth:`swarmssm.inference.Fit.parameter_table`.
@@ -60,6 +65,7 @@ class Analysis:
     force_maps: xr.Dataset | None = None
     latents: xr.Dataset | None = None
     influence: xr.Dataset | None = None
+    scores: xr.Dataset | None = None
     parameters: xr.Dataset | None = None
     sentences: dict[str, str] = field(default_factory=dict)
     settings: dict[str, Any] = field(default_factory=dict)
@@ -68,7 +74,7 @@ class Analysis:
     @property
     def datasets(self) -> dict[str, xr.Dataset]:
         """The datasets that are there, by name."""
-        found = {name: getattr(self, name) for name in (*ANALYSES, "parameters")}
+        found = {name: getattr(self, name) for name in (*ANALYSES, *BESIDE)}
         return {name: dataset for name, dataset in found.items() if dataset is not None}
 
     def write(self, path: str | Path, *, overwrite: bool = False) -> None:

@@ -9,15 +9,16 @@ from typing import Annotated, Any
 import rich.console
 import typer
 
-from swarmssm.cli.console import (
+from swarmssm.cli.console import print_json, print_rows, say
+from swarmssm.cli.options import (
+    File,
+    Format,
     Overwrite,
+    Run,
     Seed,
     TableFormat,
     TrustCode,
     named_values,
-    print_json,
-    print_rows,
-    say,
 )
 from swarmssm.errors import InputError
 from swarmssm.files import check_output, write_beside
@@ -26,8 +27,8 @@ __all__ = ["analyze"]
 
 
 def analyze(
-    run: Annotated[Path, typer.Argument(help="Run folder, as fit writes it.")],
-    file: Annotated[Path, typer.Argument(help="Tracks: NetCDF, or any file import can read.")],
+    run: Run,
+    file: File,
     out: Annotated[Path, typer.Option(help="NetCDF file to write, a group for each analysis.")],
     report: Annotated[
         Path | None, typer.Option(help="HTML page to write. Default: beside OUT, ending in .html.")
@@ -40,14 +41,25 @@ def analyze(
         str | None,
         typer.Option(help="Some of forces,kernels,force_maps,latents,influence, with commas."),
     ] = None,
+    against: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="RUN", help="Another run to score held-out forecasts beside; repeatable."
+        ),
+    ] = None,
+    scores: Annotated[
+        bool,
+        typer.Option(
+            "--scores",
+            help="Score held-out forecasts beside stay-put and constant velocity. --against does.",
+        ),
+    ] = False,
     settings: Annotated[
         list[str] | None,
         typer.Option("--set", help="ANALYSIS.OPTION=VALUE, such as force_maps.bins=21. Repeat."),
     ] = None,
     seed: Seed = 0,
-    format: Annotated[
-        TableFormat, typer.Option("--format", help="Print text or JSON.")
-    ] = TableFormat.text,
+    format: Format = TableFormat.text,
     trust_code: TrustCode = False,
     overwrite: Overwrite = False,
 ) -> None:
@@ -65,6 +77,9 @@ def analyze(
     options = _options(settings or [])
     chosen = None if only is None else [name.strip() for name in only.split(",")]
     fitted = inference.Fit.load(run, trust_code=trust_code)
+    rivals = {path.name: inference.Fit.load(path, trust_code=trust_code) for path in against or []}
+    if len(rivals) < len(against or []):
+        raise InputError("--against: two runs have one name. Rename the folder of one.")
     tracks = io.read(file)
     with _asking() as show:
         found = all_analyses(
@@ -74,6 +89,7 @@ def analyze(
             part=part,
             seed=seed,
             only=chosen,
+            rivals=rivals if against or scores else None,
             options=options,
             progress=show,
         )

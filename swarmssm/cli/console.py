@@ -1,57 +1,29 @@
-"""What the subcommands share: tables, JSON, progress, named values."""
+"""What the subcommands print: lines, tables, JSON."""
 
 import json
 import math
 import sys
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from enum import StrEnum
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import rich.console
-import rich.progress
+import rich.markup
 import rich.table
 import typer
 
-from swarmssm.errors import InputError
-
 if TYPE_CHECKING:
     from swarmssm.analysis import Evaluation
-    from swarmssm.inference import Progress
 
 __all__ = [
-    "Overwrite",
-    "Seed",
-    "TableFormat",
-    "TrustCode",
-    "named_texts",
-    "named_values",
     "print_evaluation",
     "print_json",
+    "print_rows",
     "print_table",
     "say",
     "short",
-    "training_progress",
     "write_json",
 ]
-
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
-Seed = Annotated[int, typer.Option(help="Seed of all random draws.", min=0)]
-TrustCode = Annotated[
-    bool,
-    typer.Option("--trust-code", help="Let a run import the module:attribute that it names."),
-]
-#: Seconds between two lines of progress where there is no terminal.
-LINE_EVERY = 10.0
-
-
-class TableFormat(StrEnum):
-    """How a table is printed."""
-
-    text = "text"
-    json = "json"
 
 
 def say(text: str) -> None:
@@ -126,81 +98,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
-
-
-def named_values(pairs: Sequence[str], option: str) -> dict[str, Any]:
-    """Read ``name=value`` pairs; a value is a number, JSON, or else text.
-
-    Raises
-    ------
-    InputError
-        If one has no ``=``, or a name stands twice.
-    """
-    values: dict[str, Any] = {}
-    for name, text in named_texts(pairs, option).items():
-        try:
-            values[name] = json.loads(text)
-        except ValueError:
-            values[name] = text
-    return values
-
-
-def named_texts(pairs: Sequence[str], option: str) -> dict[str, str]:
-    """Read ``name=text`` pairs as they are.
-
-    Raises
-    ------
-    InputError
-        If one has no ``=``, or a name stands twice.
-    """
-    texts: dict[str, str] = {}
-    for pair in pairs:
-        name, equals, text = pair.partition("=")
-        name = name.strip().replace("-", "_")
-        if not equals or not name:
-            raise InputError(f"{option}: {pair!r} is not of the form name=value.")
-        if name in texts:
-            raise InputError(f"{option}: {name} stands there twice.")
-        texts[name] = text.strip()
-    return texts
-
-
-@contextmanager
-def training_progress(label: str) -> Iterator[Callable[["Progress"], None]]:
-    """Show how training goes on: a bar on a terminal, plain lines elsewhere."""
-    if sys.stderr.isatty():
-        columns = (
-            rich.progress.TextColumn("{task.description}"),
-            rich.progress.BarColumn(),
-            rich.progress.MofNCompleteColumn(),
-            rich.progress.TimeRemainingColumn(),
-            rich.progress.TextColumn("loss {task.fields[loss]}"),
-        )
-        console = rich.console.Console(stderr=True)
-        with rich.progress.Progress(*columns, console=console) as bar:
-            task = bar.add_task(label, total=None, loss="-")
-
-            def show(progress: "Progress") -> None:
-                bar.update(
-                    task,
-                    completed=progress.epoch,
-                    total=progress.num_epochs,
-                    loss=short(progress.loss),
-                )
-
-            yield show
-        return
-    last = time.monotonic()
-
-    def line(progress: "Progress") -> None:
-        nonlocal last
-        done = progress.epoch == progress.num_epochs
-        whole = "" if progress.num_epochs is None else f" of {progress.num_epochs}"
-        if done or time.monotonic() - last >= LINE_EVERY:
-            last = time.monotonic()
-            typer.echo(
-                f"{label}: epoch {progress.epoch}{whole}, loss {short(progress.loss)}",
-                err=True,
-            )
-
-    yield line

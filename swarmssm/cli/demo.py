@@ -5,7 +5,9 @@ from typing import Annotated
 
 import typer
 
-from swarmssm.cli.console import Overwrite, Seed, print_evaluation, say, training_progress
+from swarmssm.cli.console import print_evaluation, say
+from swarmssm.cli.options import Overwrite, Seed
+from swarmssm.cli.progress import training_progress
 from swarmssm.errors import InputError
 
 __all__ = ["demo"]

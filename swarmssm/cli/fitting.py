@@ -5,29 +5,27 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from swarmssm.cli.console import (
+from swarmssm.cli.console import print_table, say
+from swarmssm.cli.options import (
+    ConstructorOptions,
+    File,
+    FitSettings,
     Overwrite,
+    Priors,
     Seed,
-    named_texts,
-    named_values,
-    print_table,
-    say,
-    training_progress,
+    fit_settings,
 )
+from swarmssm.cli.progress import training_progress
+from swarmssm.errors import WorkError
 
 if TYPE_CHECKING:
     from swarmssm.inference import Fit
 
 __all__ = ["fit"]
 
-Options = Annotated[
-    list[str] | None,
-    typer.Option(metavar="NAME=VALUE", help="An argument of its constructor; repeatable."),
-]
-
 
 def fit(
-    file: Annotated[Path, typer.Argument(help="Tracks: NetCDF, or any file import can read.")],
+    file: File,
     out: Annotated[Path, typer.Option(help="Run folder to write.")],
     model: Annotated[
         str, typer.Option(help="Name of a model, or module:attribute of your own.")
@@ -38,14 +36,7 @@ def fit(
             help="Name of a guide, or module:attribute of your own. Default: the model's usual one."
         ),
     ] = "auto",
-    prior: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=DIST(ARGS)",
-            help="Prior of a named parameter, for instance cohesion_gain=LogNormal(-1,0.5); "
-            "repeatable.",
-        ),
-    ] = None,
+    prior: Priors = None,
     steps: Annotated[
         int | None, typer.Option(help="Steps of the optimiser; the last epoch may be partial.")
     ] = None,
@@ -78,14 +69,9 @@ def fit(
         typer.Option(help="Stop after so many rows of the history without a better validation."),
     ] = None,
     device: Annotated[str, typer.Option(help="cpu, cuda or auto.")] = "cpu",
-    model_option: Options = None,
-    guide_option: Options = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set", metavar="NAME=VALUE", help="Any other setting, for instance --set gap=10."
-        ),
-    ] = None,
+    model_option: ConstructorOptions = None,
+    guide_option: ConstructorOptions = None,
+    settings: FitSettings = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on with an interrupted fit in OUT.")
     ] = False,
@@ -106,27 +92,30 @@ def fit(
         "split_by": split_by,
         "patience": patience,
         "device": device,
-        "model_options": named_values(model_option or [], "--model-option"),
-        "guide_options": named_values(guide_option or [], "--guide-option"),
-        "priors": named_texts(prior or [], "--prior"),
-        **named_values(settings or [], "--set"),
+        **fit_settings(prior, model_option, guide_option, settings),
     }
     for name, value in (("window", window), ("batch_windows", batch_windows)):
         if value is not None:
             given[name] = value or None
     tracks = io.read(file)
-    with training_progress(f"{file.name}: {model}") as show:
-        fitted = inference.fit(
-            model,
-            guide,
-            tracks,
-            source=file,
-            out=out,
-            resume=resume,
-            overwrite=overwrite,
-            callbacks=[show],
-            **given,
-        )
+    try:
+        with training_progress(f"{file.name}: {model}") as show:
+            fitted = inference.fit(
+                model,
+                guide,
+                tracks,
+                source=file,
+                out=out,
+                resume=resume,
+                overwrite=overwrite,
+                callbacks=[show],
+                **given,
+            )
+    except KeyboardInterrupt:
+        raise WorkError(
+            "stopped by hand. The same call with --resume goes on from the last checkpoint, if "
+            "there is one."
+        ) from None
     _print_fit(fitted)
     say(f"{out}: written. Next: swarmssm evaluate {out} {file}")
 

@@ -1,29 +1,20 @@
 """``evaluate``, ``forecast``, ``rollout`` and ``report``: what a fitted run is used for."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
-import xarray as xr
 
-from swarmssm.cli.console import (
-    Overwrite,
-    Seed,
-    TableFormat,
-    TrustCode,
-    print_evaluation,
-    print_json,
-    say,
-    write_json,
-)
+from swarmssm.cli.console import print_evaluation, print_json, say, write_json
+from swarmssm.cli.options import File, Format, Overwrite, Run, Seed, TableFormat, TrustCode
 from swarmssm.errors import InputError
 from swarmssm.files import check_output
 
+if TYPE_CHECKING:
+    import xarray as xr
+
 __all__ = ["evaluate", "forecast", "report", "rollout"]
 
-Run = Annotated[Path, typer.Argument(help="Run folder, as fit writes it.")]
-File = Annotated[Path, typer.Argument(help="Tracks: NetCDF, or any file import can read.")]
 Edges = Annotated[
     str,
     typer.Option(
@@ -48,9 +39,7 @@ def evaluate(
         ),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="JSON file to write.")] = None,
-    format: Annotated[
-        TableFormat, typer.Option("--format", help="Print text or JSON.")
-    ] = TableFormat.text,
+    format: Format = TableFormat.text,
     seed: Seed = 0,
     edges: Edges = "decoder",
     trust_code: TrustCode = False,
@@ -166,7 +155,7 @@ def _horizons(text: str) -> tuple[int, ...]:
     return ahead
 
 
-def _before(tracks: xr.Dataset, until: float | None) -> xr.Dataset:
+def _before(tracks: "xr.Dataset", until: float | None) -> "xr.Dataset":
     """Return the tracks up to a time."""
     if until is None:
         return tracks
@@ -178,4 +167,4 @@ def _before(tracks: xr.Dataset, until: float | None) -> xr.Dataset:
             f"--until: fewer than two frames lie before {until:g} s; the tracks run from "
             f"{first:g} s to {last:g} s."
         )
-    return tracks.isel(time=np.flatnonzero(keep))
+    return tracks.isel(time=keep)

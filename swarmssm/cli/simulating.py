@@ -7,7 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from swarmssm.cli.console import Overwrite, Seed, named_values, say
+from swarmssm.cli.console import say
+from swarmssm.cli.options import Overwrite, Seed, named_values
 from swarmssm.errors import InputError
 from swarmssm.files import check_output
 

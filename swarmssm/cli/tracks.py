@@ -5,7 +5,8 @@ from typing import Annotated
 
 import typer
 
-from swarmssm.cli.console import Overwrite, TableFormat, print_json, print_table, say
+from swarmssm.cli.console import print_json, print_table, say
+from swarmssm.cli.options import Format, Overwrite, TableFormat
 from swarmssm.files import check_output
 
 __all__ = ["import_tracks", "info"]
@@ -82,9 +83,7 @@ def import_tracks(
 
 def info(
     path: Annotated[Path, typer.Argument(help="NetCDF file, or any file that import can read.")],
-    format: Annotated[
-        TableFormat, typer.Option("--format", help="Print text or JSON.")
-    ] = TableFormat.text,
+    format: Format = TableFormat.text,
     fps: Annotated[float | None, typer.Option(help="As for import.")] = None,
 ) -> None:
     """Say what is in a file of tracks: who, how long, how well tracked, how it moves."""

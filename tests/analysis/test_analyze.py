@@ -15,6 +15,7 @@ from swarmssm.analysis.analyzed import ANALYSES, Analysis
 from swarmssm.analysis.findings import findings, findings_table
 from swarmssm.analysis.forces.posterior import posterior_forces
 from swarmssm.analysis.report.analysis_page import analysis_page, report_analysis
+from swarmssm.analysis.scores.backtest import backtest
 from swarmssm.errors import InputError
 
 QUICK = {"latents": {"shifts": 19, "untrained_seeds": 1}}
@@ -41,7 +42,10 @@ def test_all_is_there_for_a_plain_fit_in_two_dimensions(analysis):
     assert analysis.force_maps["turning"].sizes["source"] == 2
     assert analysis.latents.attrs["shifts"] == 19
     assert analysis.settings["part"] == "all"
-    assert analysis.notes == ("The frames include those that the model was trained on.",)
+    seen, beyond = analysis.notes
+    assert seen == "The frames include those that the model was trained on."
+    # Other trials than the model was trained on go elsewhere in the arena.
+    assert "outside the rectangle" in beyond
 
 
 def test_forces_are_those_of_their_own_function(analysis, quick_fit, boids):
@@ -220,3 +224,37 @@ def test_the_page_is_self_contained_and_says_each_sentence(analysis, quick_fit, 
 def test_an_empty_analysis_makes_no_page(quick_fit, boids):
     with pytest.raises(InputError, match="nothing in it"):
         analysis_page(Analysis(), quick_fit, boids)
+
+
+def test_scores_stand_beside_those_of_rivals(quick_fit, boids, tmp_path):
+    other = inference.fit("graph-vae", "encoder", boids, epochs=1, seed=1)
+    found = analyze(
+        quick_fit,
+        boids,
+        draws=1,
+        only=["forces"],
+        rivals={"other": other},
+        options={"scores": {"horizons": (1, 3), "origins": 5, "draws": 10}},
+    )
+    alone = backtest(
+        {"graph-vae": quick_fit, "other": other}, boids, horizons=(1, 3), origins=5, draws=10
+    )
+    xr.testing.assert_equal(found.scores, alone)
+    assert found.sentences["scores"]
+    found.write(tmp_path / "a.nc")
+    again = Analysis.read(tmp_path / "a.nc")
+    np.testing.assert_array_equal(again.scores["log_score"], alone["log_score"])
+    assert list(again.scores["model"].to_numpy()) == list(alone["model"].to_numpy())
+    assert "Held-out scores" in analysis_page(again, quick_fit, boids)
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        ({"options": {"scores": {"origins": 5}}}, "scores are made only beside rivals"),
+        ({"rivals": {"graph-vae": None}}, "'graph-vae' is the name of the fit itself"),
+    ],
+)
+def test_scores_need_rivals_of_other_names(quick_fit, boids, given, sentence):
+    with pytest.raises(InputError, match=sentence):
+        analyze(quick_fit, boids, draws=1, only=["forces"], **given)

@@ -76,7 +76,8 @@ def test_interrupted_by_hand(swarmssm, tmp_path, monkeypatch):
     call = ("calibrate", *HELD, *SMALL, "--datasets", 2, "--out", "sbc.nc")
     stopped = swarmssm(*call)
     assert stopped.status == 1
-    assert "Go on with --resume" in stopped.err
+    assert "stopped by hand" in stopped.err
+    assert "sbc.jsonl; go on with --resume." in stopped.err
     assert len((tmp_path / "sbc.jsonl").read_text().splitlines()) == 2
     assert not (tmp_path / "sbc.nc").exists()
     monkeypatch.setattr(
@@ -87,6 +88,29 @@ def test_interrupted_by_hand(swarmssm, tmp_path, monkeypatch):
     done = swarmssm(*call, "--resume")
     assert done.status == 0, done.err
     assert "1 of 2 data sets" in done.err
+
+
+def test_interrupted_before_anything_was_finished(swarmssm, tmp_path, monkeypatch):
+    from swarmssm.analysis.calibration import simulation as calibration
+
+    def stop(self, index):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(calibration._Calibrate, "__call__", stop)
+    call = ("calibrate", *HELD, *SMALL, "--datasets", 2, "--out", "sbc.nc")
+    stopped = swarmssm(*call)
+    assert stopped.status == 1
+    assert "stopped by hand. Nothing was finished." in stopped.err
+    assert not list(tmp_path.iterdir())
+
+    # A study that was to be begun anew is still the old one.
+    old = '{"settings": {}}\n{"index": 0}\n'
+    (tmp_path / "sbc.jsonl").write_text(old)
+    again = swarmssm(*call, "--overwrite")
+    assert again.status == 1
+    assert "Nothing was finished." in again.err
+    assert [path.name for path in tmp_path.iterdir()] == ["sbc.jsonl"]
+    assert (tmp_path / "sbc.jsonl").read_text() == old
 
 
 def test_recovery_like_a_file(swarmssm, tmp_path):
@@ -139,6 +163,11 @@ def test_like_a_run_at_what_it_found(swarmssm, tmp_path):
     mixed = swarmssm("calibrate", "--run", "run", "--model", "boids", "--out", "other.nc")
     assert mixed.status == 2
     assert "--model: it is that of the run" in mixed.err
+    gain = ("--prior", "damping=LogNormal(0,1)")
+    mixed = swarmssm("calibrate", "--run", "run", *gain, "--out", "other.nc")
+    assert "--prior: it is that of the run" in mixed.err
+    mixed = swarmssm("calibrate", "--run", "run", "--set", "window=5", "--out", "other.nc")
+    assert "--set window: it is that of the run" in mixed.err
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import numpy.typing as npt
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from swarmssm.analysis.calibration.parameter_names import short_name
 from swarmssm.analysis.plots.style import INDIVIDUALS, colour_of, legend_below, new_axes, new_grid
@@ -20,27 +21,43 @@ WARNING = "#cc5f00"
 LINES = 10
 
 
-def plot_calibration(calibration: xr.Dataset) -> Figure:
+def plot_calibration(
+    calibration: xr.Dataset, axes: npt.NDArray[Any] | None = None
+) -> tuple[Figure, npt.NDArray[Any]]:
     """Draw rank histograms, distribution functions and coverage on one sheet.
 
     Parameters
     ----------
     calibration
         From :func:`swarmssm.analysis.simulation_based_calibration`.
+    axes
+        Two more than quantities; new ones if absent.
+
+    Returns
+    -------
+    Figure and axes ``(quantity + 2,)``: the histograms, the distribution functions, the coverage.
     """
     number = calibration.sizes["parameter"]
+    figure, grid = new_grid(_sheet(number) if axes is None else axes, 1, number + 2, (0.0, 0.0))
+    *histograms, functions, coverage = grid[0]
+    plot_rank_histograms(calibration, np.array(histograms))
+    plot_ecdf_difference(calibration, functions)
+    plot_coverage(calibration, coverage)
+    return figure, grid[0]
+
+
+def _sheet(number: int) -> npt.NDArray[Any]:
+    """Return axes of a new figure: one for each quantity, and two below."""
     columns = min(COLUMNS, number)
     rows = -(-number // columns)
     upper, lower = 2.2 * rows + 0.2, max(4.6, 2.0 + 0.4 * number)
     figure = Figure(figsize=(11.0, upper + lower), layout="constrained")
     parts = figure.subfigures(2, 1, height_ratios=[upper, lower], squeeze=False)
     top, bottom = parts.flat
-    grid = top.subplots(rows, columns, squeeze=False)
-    plot_rank_histograms(calibration, grid)
-    left, right = bottom.subplots(1, 2)
-    plot_ecdf_difference(calibration, left)
-    plot_coverage(calibration, right)
-    return figure
+    above = top.subplots(rows, columns, squeeze=False).ravel()
+    for ax in above[number:]:
+        ax.set_axis_off()
+    return np.concatenate([above[:number], bottom.subplots(1, 2)])
 
 
 def plot_rank_histograms(
@@ -83,6 +100,7 @@ def plot_rank_histograms(
         ax.set_xlabel("rank of the truth (share of draws below)", fontsize=8)
         ax.set_ylabel("data sets", fontsize=8)
         ax.tick_params(labelsize=8)
+        ax.yaxis.set_major_locator(MaxNLocator(5, integer=True))
     for ax in list(grid.flat)[len(names) :]:
         ax.set_axis_off()
     return figure, grid

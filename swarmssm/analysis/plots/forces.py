@@ -136,9 +136,9 @@ def plot_force_arrows(
     place, velocity, own = place[seen], velocity[seen], own[:, :, seen]
     mean = own.mean(1)
     length = np.linalg.norm(mean, axis=-1)
-    extent = float(np.ptp(place, axis=0).max()) if len(place) else 1.0
+    extent = (float(np.ptp(place, axis=0).max()) if len(place) else 0.0) or 1.0
     longest = float(length.max(initial=0.0)) or 1.0
-    scale = longest / (ARROW * (extent or 1.0))
+    scale = longest / (ARROW * extent)
     across, up = place[:, 0], place[:, 1]
     arrows: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": scale}
     for term, draws, middle in zip(terms, own, mean, strict=True):
@@ -150,13 +150,18 @@ def plot_force_arrows(
         )
     speed = np.linalg.norm(velocity, axis=-1, keepdims=True)
     heading = np.divide(velocity, speed, out=np.zeros_like(velocity), where=speed > 0)
-    reach = 0.045 * (extent or 1.0)
+    reach = 0.045 * extent
     for start, toward in zip(place, heading, strict=True):
         end = start + reach * toward
         ax.plot(*zip(start, end, strict=True), color="#000000", linewidth=1.6, zorder=4)
     ax.scatter(across, up, s=dot_size(len(place), 34.0), c="#000000", linewidths=0, zorder=5)
     label_axes(ax, [str(name) for name in forces["space"].values], forces.attrs.get("unit", ""))
-    ax.margins(0.14)
+    # No mean arrow is cut off, and few of the draws, which may be longer.
+    room = 1.3 * ARROW * extent
+    for corner in (place - room, place + room) if len(place) else ():
+        ax.update_datalim(corner)
+    ax.margins(0.0)
+    ax.autoscale_view()
     length_of_it = f"{format_number(longest, 2)} {units(forces['force'])}"
     ax.set_title(
         f"{float(chosen['time']):.3g} s; longest arrow {length_of_it}",

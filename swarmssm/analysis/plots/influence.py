@@ -11,7 +11,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch
 
-from swarmssm.analysis.plots.style import colour_of, new_axes, new_grid
+from swarmssm.analysis.plots.style import colour_of, legend_below, new_axes, new_grid, paint_ground
 from swarmssm.analysis.table import format_unit
 
 __all__ = ["plot_influence", "plot_influence_matrix", "plot_influence_network", "plot_leadership"]
@@ -20,6 +20,8 @@ COLOURS = "viridis"
 ARROW = "#7f7f7f"
 #: Ink on what is light in any page: plain black would become the page's own ink, light in the dark.
 DARK = "#111111"
+#: Cells of pairs that were never seen together, and of one with itself.
+UNKNOWN = "#c8c8c8"
 #: Names of the variables with pairs, and how their strength is called beside a colour bar.
 PAIRS = {
     "influence": "influence",
@@ -127,6 +129,7 @@ def plot_influence_matrix(
     figure, ax = new_axes(ax, (5.0, 4.4))
     pairs = _middle(influence, strength)
     names = [str(name) for name in influence["individual"].values]
+    paint_ground(ax, UNKNOWN)
     image = ax.imshow(pairs, cmap=COLOURS, vmin=0.0, origin="upper")
     high = influence[strength].sel(quantile=0.95).transpose("individual", "neighbor").to_numpy()
     mean = _mean(pairs)
@@ -204,7 +207,7 @@ def plot_leadership(
     ax.set_xlim(left=0.0)
     _label(ax, "x", "weight, mean of all = 1" if by == "weight" else "mean influence",
            influence[by])  # fmt: skip
-    ax.legend(frameon=False, fontsize=8, loc="lower right")
+    legend_below(ax)
     return figure, ax
 
 

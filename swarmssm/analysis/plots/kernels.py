@@ -8,19 +8,27 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
-from matplotlib.colors import Normalize, to_rgba
+from matplotlib.colors import ListedColormap, Normalize, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from swarmssm.analysis.plots.forces import TERM_COLOURS, units
-from swarmssm.analysis.plots.style import colour_of, legend_below, new_axes, new_grid
+from swarmssm.analysis.plots.style import (
+    colour_of,
+    legend_below,
+    new_axes,
+    new_grid,
+    paint_ground,
+)
 
 __all__ = ["plot_force_maps", "plot_kernels", "plot_modulation"]
 
 NET = "#2f86c6"
 #: Ink on a map, which is light in any page.
 DARK = "#111111"
+#: Bins of a map with too few pairs, and the middle of its scale of colours.
+EMPTY, NEUTRAL = "#c8c8c8", "#f7f7f7"
 #: Where fewer neighbours are than this share of the highest density, curves fade out.
 FADES_BELOW = 0.2
 #: The axes are made for distances at which there are neighbours, to this share of the most.
@@ -28,6 +36,9 @@ SHOWN_FROM = 0.02
 #: Bins of a map with fewer pairs stay empty; those within so many standard errors of 0 are faint.
 FEWEST_PAIRS = 10
 UNSURE = 2.0
+#: The share of sure bins that is within the scale of colours, and how many times the ends of one
+#: map may be those of another.
+SHOWN, STRONGER = 0.98, 3.0
 
 
 def plot_kernels(
@@ -157,8 +168,9 @@ def plot_force_maps(
     Returns
     -------
     Figure and axes ``(2, source)``: turning above (red: to the right), speeding below (red: faster)
-    with one scale of colours a row. The focal individual is the triangle, heading up. Bins whose
-    mean is within two standard errors of 0 are faint, those with fewer than ten pairs are left out.
+    with one scale of colours a row, made for the bins that are sure. The focal individual is the
+    triangle, heading up. Bins whose mean is within two standard errors of 0 are faint, those with
+    fewer than ten pairs are left out.
     """
     if "source" not in maps.dims:
         maps = maps.expand_dims(source=[str(maps.attrs.get("source", ""))])
@@ -174,10 +186,17 @@ def plot_force_maps(
         count = maps["count"].transpose("source", "front_back", "left_right").to_numpy()
         values = np.where(count >= FEWEST_PAIRS, values, np.nan)
         sure = np.abs(values) > UNSURE * error
-        known = np.abs(values[np.isfinite(values)])
-        limit = (float(np.quantile(known, 0.98)) if known.size else 0.0) or 1.0
+        limit = _colour_limit(values, sure)
+        beyond = bool((np.abs(values) > limit).any())
         for ax, source, own, firm in zip(line, sources, values, sure, strict=True):
-            ax.set_facecolor("#ececec")
+            paint_ground(ax, EMPTY)
+            # Faint bins let this through, not the page: they are as faint in the dark.
+            ax.imshow(
+                np.where(np.isfinite(own), 1.0, np.nan),
+                cmap=ListedColormap([NEUTRAL]),
+                extent=(across[0], across[-1], along[0], along[-1]),
+                origin="lower",
+            )
             ax.pcolormesh(
                 across,
                 along,
@@ -198,9 +217,27 @@ def plot_force_maps(
                 axis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
                 axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         colours = ScalarMappable(Normalize(-limit, limit), "RdBu_r")
-        bar = figure.colorbar(colours, ax=list(line), shrink=0.85, pad=0.02)
+        ends = "both" if beyond else "neither"
+        bar = figure.colorbar(colours, ax=list(line), shrink=0.85, pad=0.02, extend=ends)
         bar.set_label(f"{words[name]} ({units(maps[name])})", parse_math=False)
     return figure, grid
+
+
+def _colour_limit(values: npt.NDArray[np.float64], sure: npt.NDArray[np.bool_]) -> float:
+    """Return the end of a scale for several maps ``(source, ...)`` on which each can be read.
+
+    Bins that are not sure may be far from 0 by chance, and a map far stronger than another would
+    leave this one blank: where it is more than so many times as strong, its ends are cut off.
+    """
+    ends = [
+        float(np.quantile(np.abs(own[firm]), SHOWN))
+        for own, firm in zip(values, sure, strict=True)
+        if firm.any()
+    ]
+    if ends:
+        return min(max(ends), STRONGER * min(ends))
+    known = np.abs(values[np.isfinite(values)])
+    return (float(np.quantile(known, SHOWN)) if known.size else 0.0) or 1.0
 
 
 def _faded_band(

@@ -1,12 +1,14 @@
 """Which latent carries which force, and how well each source tells the forces."""
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from swarmssm.analysis.plots.style import legend_below, new_axes
+from swarmssm.analysis.plots.style import legend_below, new_axes, paint_ground
 
 __all__ = ["plot_effort", "plot_latents", "plot_rotated_axes", "plot_sources"]
 
@@ -18,6 +20,8 @@ COLOURS = ("#2f86c6", "#cc5f00", "#009e73", "#c4679b", "#b8860b", "#8a6fc8")
 UNTRAINED = "#7f7f7f"
 #: Ink on what is light in any page, and lines that are faint on light and dark ones.
 DARK, FAINT = "#111111", "#7f7f7f"
+#: Cells without a number.
+UNKNOWN = "#c8c8c8"
 
 
 def plot_latents(
@@ -49,7 +53,7 @@ def plot_latents(
     names = [str(name) for name in alignment["latent"].values[chosen]]
     columns = [str(name) for name in alignment["component"].values]
     figure, ax = new_axes(ax, (0.62 * len(columns) + 2.6, 0.26 * len(names) + 1.6))
-    _heat(figure, ax, values[chosen], names, columns, "cross-validated R²")
+    _heat(figure, ax, values[chosen], names, columns)
     for row, column in np.argwhere(chance[chosen] <= LEVEL):
         shade = "white" if values[chosen][row, column] > 0.5 else DARK
         ax.plot(column, row, ".", color=shade, markersize=4)
@@ -132,7 +136,7 @@ def plot_rotated_axes(
     names = [str(name) for name in alignment["axis"].values]
     figure, ax = new_axes(ax, (0.62 * len(names) + 2.6, 0.34 * len(names) + 1.6))
     values = alignment["axis_r2"].sel(group=group).to_numpy()
-    _heat(figure, ax, values, [f"axis of {name}" for name in names], names, "cross-validated R²")
+    _heat(figure, ax, values, [f"axis of {name}" for name in names], names)
     ax.set_title(f"rotated {group}", fontsize=10)
     return figure, ax
 
@@ -195,12 +199,12 @@ def _heat(
     values: npt.NDArray[np.float64],
     rows: list[str],
     columns: list[str],
-    label: str,
 ) -> None:
     """Draw a matrix of R^2 between 0 and 1 with names; grey where there is none."""
+    paint_ground(ax, UNKNOWN)
     shown = np.ma.masked_invalid(np.clip(values, 0.0, 1.0))
-    ax.set_facecolor("#dddddd")
     image = ax.imshow(shown, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
     ax.set_yticks(np.arange(len(rows)), rows, fontsize=8)
-    ax.set_xticks(np.arange(len(columns)), columns, rotation=40, ha="right", fontsize=8)
-    figure.colorbar(image, ax=ax, label=label)
+    slanted: dict[str, Any] = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"}
+    ax.set_xticks(np.arange(len(columns)), columns, fontsize=8, **slanted)
+    figure.colorbar(image, ax=ax, label="cross-validated R²")

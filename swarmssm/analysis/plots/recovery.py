@@ -7,6 +7,7 @@ import numpy.typing as npt
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter
 
 from swarmssm.analysis.calibration.parameter_names import short_name
@@ -25,6 +26,7 @@ TITLES = {
     "trials": "trials",
 }
 COLUMNS = 3
+GREY = "#7f7f7f"
 
 
 def plot_recovery(
@@ -59,22 +61,26 @@ def plot_recovery(
     shape = () if axes is None else np.asarray(axes).shape
     columns = shape[-1] if shape else min(COLUMNS, len(factors))
     rows = -(-len(factors) // columns)
-    figure, grid = new_grid(axes, rows, columns, (3.6 * columns + 1.6, 3.0 * rows), sharey=True)
+    figure, grid = new_grid(axes, rows, columns, (3.6 * columns + 1.9, 3.0 * rows), sharey=True)
     tolerance = float(recovery.attrs["tolerance"])
     names = gains_of(recovery)
     for ax, factor in zip(grid.flat, factors, strict=False):
         curve = _over_grid(recovery, factor) if in_grid else factor_curve(recovery, factor)
         _draw(ax, curve, factor, names)
-        ax.axhline(tolerance, color="#7f7f7f", linestyle="--", linewidth=1.0)
+        ax.axhline(tolerance, color=GREY, linestyle="--", linewidth=1.0)
     for place, ax in enumerate(grid.flat):
         if place >= len(factors):
             ax.set_axis_off()
         elif place % columns == 0:
             ax.set_ylabel("relative error (median)")
     if axes is None:
-        handles, labels = grid.flat[0].get_legend_handles_labels()
+        handles, _ = grid.flat[0].get_legend_handles_labels()
+        handles.append(Line2D([], [], color=GREY, linestyle=":", label="half the 90 % interval"))
+        handles.append(
+            Line2D([], [], color=GREY, linestyle="--", label=f"{tolerance:.0%} asked for")
+        )
         figure.legend(
-            handles, labels, loc="outside right center", frameon=False, fontsize=8, handlelength=1.4
+            handles=handles, loc="outside right center", frameon=False, fontsize=8, handlelength=1.8
         )
     return figure, grid
 

@@ -7,12 +7,14 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 from matplotlib.ticker import LogFormatter, MaxNLocator
 
 from swarmssm.errors import InputError
 
 __all__ = [
     "LINE_STYLES",
+    "MODEL_COLOUR",
     "colour_of",
     "dot_size",
     "individual_colours",
@@ -22,6 +24,7 @@ __all__ = [
     "log_scale",
     "new_axes",
     "new_grid",
+    "paint_ground",
     "whole_numbers",
 ]
 
@@ -108,6 +111,17 @@ def figure_of(ax: Axes) -> Figure:
 def _knows_root() -> bool:
     """Return whether this matplotlib can tell a sub-figure from its figure (3.10 and later)."""
     return "root" in inspect.signature(Axes.get_figure).parameters
+
+
+def paint_ground(ax: Axes, colour: str) -> None:
+    """Paint what lies behind all else; unlike the face of axes it stays in a transparent figure.
+
+    Without it colours that let light through, and cells that hold nothing, would look otherwise in
+    a page in the dark.
+    """
+    whole = Rectangle((0.0, 0.0), 1.0, 1.0, transform=ax.transAxes)
+    whole.set(facecolor=colour, linewidth=0.0, zorder=-10.0)
+    ax.add_artist(whole)
 
 
 def label_axes(ax: Axes, coordinates: list[str], unit: str) -> None:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from swarmssm.analysis.calibration.ranks import calibration_of_ranks
 from swarmssm.analysis.plots.calibration import (
@@ -12,6 +13,8 @@ from swarmssm.analysis.plots.calibration import (
 )
 from swarmssm.analysis.plots.recovery import plot_recovery
 from swarmssm.errors import InputError
+
+NOISE = "tracking noise (outside)"
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +30,7 @@ def test_a_histogram_for_each_quantity(ranks):
     assert grid.shape == (2, 3)
     heights = [bar.get_height() for bar in grid[1, 0].patches[:20]]
     assert heights == ranks["histogram"].values[3].tolist()
-    assert grid[1, 0].get_title() == "tracking noise (outside)"
+    assert grid[1, 0].get_title() == NOISE
     assert grid[0, 0].get_title() == "gain_0"
     assert not grid[1, 2].axison
     figure.canvas.draw()
@@ -35,7 +38,7 @@ def test_a_histogram_for_each_quantity(ranks):
 
 def test_the_line_is_the_difference_from_uniform(ranks):
     figure, ax = plot_ecdf_difference(ranks)
-    line = next(one for one in ax.lines if one.get_label() == "tracking noise (outside)")
+    line = next(one for one in ax.lines if one.get_label() == NOISE)
     # All 80 ranks are 3: nobody is below 3 or less, all are below 4 and more.
     assert line.get_ydata()[2] == pytest.approx(-0.03)
     assert line.get_ydata()[3] == pytest.approx(1 - 0.04)
@@ -51,9 +54,24 @@ def test_coverage_has_a_row_for_each_quantity(ranks):
 
 
 def test_all_on_one_sheet(ranks):
-    figure = plot_calibration(ranks)
-    assert len(figure.get_axes()) == 6 + 2
+    figure, axes = plot_calibration(ranks)
+    assert axes.shape == (4 + 2,)
+    assert [ax.get_title() for ax in axes[:4]] == ["gain_0", "gain_1", "gain_2", NOISE]
+    assert axes[4].get_ylabel() == "share of data sets below, minus uniform"
+    assert axes[5].get_xlabel() == "share of intervals that hold the truth"
+    # Two of the six places above are left over.
+    assert [ax.axison for ax in figure.get_axes()].count(False) == 2
     figure.canvas.draw()
+
+
+def test_all_into_given_axes(ranks):
+    given = Figure().subplots(2, 3)
+    figure, axes = plot_calibration(ranks, given)
+    assert figure is given[0, 0].figure
+    assert axes.tolist() == given.ravel().tolist()
+    assert given[1, 0].get_title() == NOISE
+    with pytest.raises(InputError, match="6 are needed, and 3 are given"):
+        plot_calibration(ranks, given[0])
 
 
 def test_recovery_is_drawn_for_each_factor(tmp_path):

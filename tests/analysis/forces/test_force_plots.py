@@ -139,3 +139,41 @@ def test_one_map_alone(in_cm: xr.Dataset) -> None:
     assert axes.shape == (2, 1)
     assert axes[0, 0].get_title() == "turning: raw data"
     figure.canvas.draw()
+
+
+def two_maps(weak: float, strong: float, error: float) -> xr.Dataset:
+    """Two maps of 3 x 3 bins: one weak in all, one strong; the latter's middle by chance."""
+    value = np.stack([np.full((3, 3), weak), np.full((3, 3), strong)])
+    value[1, 1, 1] = 1e6
+    errors = np.full_like(value, error)
+    errors[1, 1, 1] = 1e6
+    dims = ("source", "front_back", "left_right")
+    bins = [-1.0, 0.0, 1.0]
+    variables = dict.fromkeys(("turning", "speeding"), (dims, value))
+    variables |= {f"{name}_error": (dims, errors) for name in ("turning", "speeding")}
+    variables["count"] = (dims, np.full(value.shape, 100))
+    return xr.Dataset(
+        variables, {"source": ["raw", "model"], "front_back": bins, "left_right": bins}
+    )
+
+
+@pytest.mark.parametrize(
+    ("strong", "error", "limit"),
+    [
+        # The stronger map has all of the scale, without the bin that is far off by chance;
+        (2.5, 0.1, 2.5),
+        # but not where the weaker one could not be seen any more.
+        (100.0, 0.1, 3.0),
+    ],
+)
+def test_colours_of_maps_show_both(strong: float, error: float, limit: float) -> None:
+    _, axes = plot_force_maps(two_maps(1.0, strong, error))
+    for ax in axes.flat:
+        (mesh,) = (one for one in ax.collections if isinstance(one, QuadMesh))
+        assert mesh.get_clim() == pytest.approx((-limit, limit))
+
+
+def test_maps_of_which_nothing_is_sure_have_a_scale() -> None:
+    _, axes = plot_force_maps(two_maps(1.0, 1.0, 10.0).isel(front_back=[0, 2]))
+    (mesh,) = (one for one in axes[0, 0].collections if isinstance(one, QuadMesh))
+    assert mesh.get_clim() == (-1.0, 1.0)
