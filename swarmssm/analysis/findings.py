@@ -14,6 +14,8 @@ from swarmssm.analysis.table import NOTHING, format_number, format_unit
 
 __all__ = ["Finding", "findings", "findings_table"]
 
+#: Per cent below which a share is told as 0.
+NO_SHARE = 0.05
 #: A preferred distance is told if at least this share of the draws has one.
 ENOUGH_DRAWS = 0.05
 
@@ -74,19 +76,23 @@ def findings_table(analysis: Analysis) -> list[dict[str, str]]:
     """Return :func:`findings` as text, column title to text."""
     rows = []
     for found in findings(analysis):
-        value, unit = format_number(found.value), format_unit(found.unit)
+        value, low, high = (_text(one, found.unit) for one in (found.value, found.low, found.high))
+        unit = format_unit(found.unit)
         sure = math.isfinite(found.low) and math.isfinite(found.high)
         rows.append(
             {
                 "finding": f"{found.analysis}: {found.quantity}",
                 "value": value if value == NOTHING else f"{value} {unit}".rstrip(),
-                "90 % interval": f"{format_number(found.low)} to {format_number(found.high)}"
-                if sure
-                else NOTHING,
+                "90 % interval": f"{low} to {high}" if sure else NOTHING,
                 "beside it": found.beside or NOTHING,
             }
         )
     return rows
+
+
+def _text(value: float, unit: str) -> str:
+    """Return a number, what is next to nothing of a whole as 0."""
+    return format_number(0.0 if unit == "%" and abs(value) < NO_SHARE else value)
 
 
 def _interval(values: xr.DataArray, scale: float = 1.0) -> tuple[float, float, float]:

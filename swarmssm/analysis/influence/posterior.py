@@ -31,6 +31,7 @@ from swarmssm.analysis.influence.leaders import find_leader, find_loners
 from swarmssm.analysis.influence.ranks import rank_probabilities
 from swarmssm.analysis.influence.weights import label_weights, mean_over, pair_weights
 from swarmssm.analysis.motion import Motion, PosteriorPaths, motion_of, posterior_paths
+from swarmssm.analysis.table import format_number
 from swarmssm.errors import InputError
 from swarmssm.inference import Fit
 from swarmssm.tracks import Array
@@ -318,21 +319,22 @@ def sentence(influence: xr.Dataset, rate: float = 0.05) -> str:
     unit = influence.attrs["unit"]
     first = float(influence["rank_probability"].sel(rank=1)[best])
     text = (
-        f"{name} moves the others most: another state of it (by {_short(influence, 'position')} "
-        f"{unit} and {_short(influence, 'velocity')} {unit}/s) changes the acceleration of another "
-        f"by {middle[best]:.2g} {unit}/s² (90 % interval {low[best]:.2g} to {high[best]:.2g}), "
-        f"where the median individual reaches {np.nanmedian(middle):.2g}"
+        f"{name} moves the others most: another state of it (by "
+        f"{_short(influence.attrs['position_scale'])} {unit} and "
+        f"{_short(influence.attrs['velocity_scale'])} {unit}/s) changes the acceleration of "
+        f"another by {_short(middle[best])} {unit}/s² (90 % interval {_short(low[best])} to "
+        f"{_short(high[best])}), where the median individual reaches {_short(np.nanmedian(middle))}"
     )
     if influence.attrs["certain"]:
         text += "; the model has no posterior over states or rule, so the interval has no width."
     else:
-        text += f"; it ranks first in {first:.0%} of the draws."
+        text += f"; it ranks first in {100 * first:.0f} % of the draws."
     return f"{text} {_decision(influence, rate)}"
 
 
-def _short(influence: xr.Dataset, part: str) -> str:
-    """Return a scale with two digits."""
-    return f"{influence.attrs[f'{part}_scale']:.2g}"
+def _short(value: Any) -> str:
+    """Return a number with two digits."""
+    return format_number(float(value), 2)
 
 
 def _decision(influence: xr.Dataset, rate: float) -> str:
@@ -344,7 +346,7 @@ def _decision(influence: xr.Dataset, rate: float) -> str:
             "Whether anyone leads cannot be decided: the law is the same for all, and there are "
             "too few trials; a model with weights of individuals (kernel with influence) can tell."
         )
-    asked = f"at a rate of false alarms of {rate:.0%} or less"
+    asked = f"at a rate of false alarms of {100 * rate:g} % or less"
     if found.attrs["by"] == "trials":
         if leader:
             return (
@@ -356,8 +358,8 @@ def _decision(influence: xr.Dataset, rate: float) -> str:
         weight = influence["weight"].sel(individual=leader)
         low, high = np.quantile(weight, [0.05, 0.95])
         text = (
-            f"By its weight, {low:.2g} to {high:.2g} times the mean of all, {leader} is a leader "
-            f"({asked})."
+            f"By its weight, {_short(low)} to {_short(high)} times the mean of all, {leader} is a "
+            f"leader ({asked})."
         )
     else:
         text = f"By the weights of individuals, none counts for more than every other ({asked})."

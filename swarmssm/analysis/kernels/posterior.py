@@ -358,7 +358,9 @@ def sentence(kernels: xr.Dataset) -> str:
     else:
         reach = f"beyond {interval('interaction_range')} the force stays below a tenth of its peak"
     number = float(kernels["neighbors"].sel(quantile=0.5))
-    last = f"an individual has {number:.2g} neighbours on average"
+    few = format_number(number, 2)
+    several = "one neighbour" if few == "1.0" else f"{few} neighbours"
+    last = f"an individual has {several} on average"
     text = f"{first}; {reach}; {last}"
     if kernels.attrs["source"] == "model":
         return f"{text}. The bands hold if the model's form of the rule is the right one."

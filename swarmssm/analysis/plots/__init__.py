@@ -16,6 +16,7 @@ from swarmssm.analysis.plots.forces import (
     plot_force_magnitudes,
     plot_force_shares,
 )
+from swarmssm.analysis.plots.gathered import plot_gathered_shares, plot_log_scores
 from swarmssm.analysis.plots.graphs import plot_edge_accuracy, plot_graphs
 from swarmssm.analysis.plots.influence import (
     plot_influence,
@@ -30,6 +31,8 @@ from swarmssm.analysis.plots.latents import (
     plot_rotated_axes,
     plot_sources,
 )
+from swarmssm.analysis.plots.model_graph import plot_model
+from swarmssm.analysis.plots.presence import plot_presence
 from swarmssm.analysis.plots.recovery import plot_recovery
 from swarmssm.analysis.plots.trajectories import (
     plot_imitation,
@@ -49,6 +52,7 @@ __all__ = [
     "plot_force_magnitudes",
     "plot_force_maps",
     "plot_force_shares",
+    "plot_gathered_shares",
     "plot_graphs",
     "plot_horizon_errors",
     "plot_imitation",
@@ -58,7 +62,10 @@ __all__ = [
     "plot_kernels",
     "plot_latents",
     "plot_leadership",
+    "plot_log_scores",
+    "plot_model",
     "plot_modulation",
+    "plot_presence",
     "plot_random_starts",
     "plot_rank_histograms",
     "plot_recovery",

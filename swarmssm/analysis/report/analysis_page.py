@@ -1,8 +1,8 @@
 """The page on what a fitted model says: forces, rules, latents, influence, and how sure."""
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,16 +14,24 @@ from swarmssm.analysis.analyzed import Analysis
 from swarmssm.analysis.findings import findings_table
 from swarmssm.analysis.plots import forces as force_plots
 from swarmssm.analysis.plots import influence as influence_plots
-from swarmssm.analysis.plots import kernels as kernel_plots
 from swarmssm.analysis.plots import latents as latent_plots
+from swarmssm.analysis.plots.gathered import plot_log_scores
 from swarmssm.analysis.report import analysis_sentences as sentences
-from swarmssm.analysis.report.build import render, write_page
-from swarmssm.analysis.report.embed import as_svg, house_style
+from swarmssm.analysis.report.embed import house_style
 from swarmssm.analysis.report.facts import (
     data_facts,
     model_facts,
     parameter_rows,
     provenance_facts,
+)
+from swarmssm.analysis.report.held_out import CAUTION, own_model, score_rows, score_sentence
+from swarmssm.analysis.report.page import render, write_page
+from swarmssm.analysis.report.panels import (
+    as_panels,
+    kernel_figures,
+    map_figure,
+    modulation_figure,
+    modulation_varies,
 )
 from swarmssm.analysis.report.sections import Picture
 from swarmssm.errors import InputError
@@ -34,26 +42,29 @@ __all__ = ["analysis_page", "report_analysis"]
 
 #: Frames of a curve over time that are drawn at most.
 FRAMES = 1000
-#: A kernel's factor by angle is shown where its middle leaves 1 by more than this.
-MODULATED = 1e-6
 HEADINGS = {
     "forces": "Which forces act",
     "kernels": "What a neighbour does at each distance",
     "force_maps": "What goes with a neighbour's place",
     "latents": "What the latents carry",
     "influence": "Who moves whom",
+    "scores": "Held-out scores",
 }
-Drawing = tuple[str, str, Callable[[], tuple[Figure, Any]]]
+Drawing = tuple[str, str, Callable[[], Sequence[Figure]]]
 
 
 @dataclass(frozen=True)
 class Chapter:
-    """The figures of one analysis, and its sentence, which stands alone where there are none."""
+    """The figures of one analysis, and its sentence, which stands alone where there are none.
+
+    ``rows`` are those of a table of scores.
+    """
 
     anchor: str
     heading: str
     sentence: str
     pictures: list[Picture]
+    rows: list[dict[str, str]] = field(default_factory=list)
 
 
 def analysis_page(
@@ -149,21 +160,25 @@ def _chapters(analysis: Analysis) -> list[Chapter]:
         "force_maps": _of_maps,
         "latents": _of_latents,
         "influence": _of_influence,
+        "scores": _of_scores,
     }
     chapters = []
     with house_style():
         for name, dataset in analysis.datasets.items():
             if name not in tell:
                 continue
+            sentence = analysis.sentences.get(name, "")
+            rows = []
+            if name == "scores":
+                own = own_model(dataset, str(analysis.settings.get("model", "")))
+                sentence = f"{score_sentence(dataset, own)} {CAUTION} {sentence}".strip()
+                rows = score_rows(dataset)
             pictures = []
-            for index, (title, text, draw) in enumerate(
-                tell[name](dataset, analysis.sentences[name])
-            ):
-                svg = as_svg(draw()[0], f"{name}-f{index}", f"{title}. {text}")
+            for index, (title, text, draw) in enumerate(tell[name](dataset, sentence)):
+                svg = as_panels(draw(), f"{name}-f{index}", f"{title}. {text}")
                 pictures.append(Picture(title, "", text, svg))
-            chapters.append(
-                Chapter(name.replace("_", "-"), HEADINGS[name], analysis.sentences[name], pictures)
-            )
+            anchor = name.replace("_", "-")
+            chapters.append(Chapter(anchor, HEADINGS[name], sentence, pictures, rows))
     return chapters
 
 
@@ -172,18 +187,25 @@ def _of_forces(found: xr.Dataset, text: str) -> list[Drawing]:
     thinned = found.isel(trial=[0], time=slice(None, None, math.ceil(frames / FRAMES)))
     frame = fullest_frame(found)
     return [
-        ("How large each force is", text, lambda: force_plots.plot_force_shares(found)),
+        ("How large each force is", text, lambda: [force_plots.plot_force_shares(found)[0]]),
         (
             "The forces over time",
             sentences.over_time(found),
-            lambda: force_plots.plot_force_magnitudes(thinned),
+            lambda: [_over_time(thinned)],
         ),
         (
             "The forces in one frame",
             sentences.in_a_frame(found, frame),
-            lambda: force_plots.plot_force_arrows(found, frame=frame),
+            lambda: [force_plots.plot_force_arrows(found, frame=frame)[0]],
         ),
     ]
+
+
+def _over_time(found: xr.Dataset) -> Figure:
+    """Draw the strength of forces over time, not too wide for a narrow screen."""
+    figure = Figure(figsize=(6.8, 3.8), layout="constrained")
+    force_plots.plot_force_magnitudes(found, figure.add_subplot())
+    return figure
 
 
 def fullest_frame(found: xr.Dataset) -> int:
@@ -194,40 +216,33 @@ def fullest_frame(found: xr.Dataset) -> int:
 
 
 def _of_kernels(found: xr.Dataset, text: str) -> list[Drawing]:
-    names = [str(name) for name in found if str(name).startswith("truth_")]
-    curves = [name for name in names if "distance" in found[name].dims]
-    truth = found[curves].rename({name: name.removeprefix("truth_") for name in curves})
-    drawn: list[Drawing] = [
-        (
-            "Kernels of distance",
-            text,
-            lambda: kernel_plots.plot_kernels(found, truth=truth if curves else None),
-        )
-    ]
-    if "modulation" in found:
-        middle = found["modulation"].sel(quantile=0.5).to_numpy()
-        if np.abs(middle - 1.0).max() > MODULATED:
-            drawn.append(
-                (
-                    "By the direction of the neighbour",
-                    sentences.modulation(found),
-                    lambda: kernel_plots.plot_modulation(found),
-                )
+    drawn: list[Drawing] = [("Kernels of distance", text, lambda: kernel_figures(found))]
+    if modulation_varies(found):
+        drawn.append(
+            (
+                "By the direction of the neighbour",
+                sentences.modulation(found),
+                lambda: [modulation_figure(found)],
             )
+        )
     return drawn
 
 
 def _of_maps(found: xr.Dataset, text: str) -> list[Drawing]:
-    return [("Force maps", text, lambda: kernel_plots.plot_force_maps(found))]
+    return [("Force maps", text, lambda: [map_figure(found)])]
 
 
 def _of_latents(found: xr.Dataset, text: str) -> list[Drawing]:
     drawn: list[Drawing] = [
-        ("How well each source tells each force", text, lambda: latent_plots.plot_sources(found)),
+        (
+            "How well each source tells each force",
+            text,
+            lambda: [latent_plots.plot_sources(found)[0]],
+        ),
         (
             "Each latent by itself",
             sentences.single_latents(found),
-            lambda: latent_plots.plot_latents(found),
+            lambda: [latent_plots.plot_latents(found)[0]],
         ),
     ]
     if "axis_r2" in found:
@@ -235,7 +250,7 @@ def _of_latents(found: xr.Dataset, text: str) -> list[Drawing]:
             (
                 "The latent space turned towards the forces",
                 sentences.rotated(found),
-                lambda: latent_plots.plot_rotated_axes(found),
+                lambda: [latent_plots.plot_rotated_axes(found)[0]],
             )
         )
     return drawn
@@ -245,15 +260,18 @@ def _of_influence(found: xr.Dataset, text: str) -> list[Drawing]:
     if not found["influence"].notnull().any():
         return []
     return [
-        ("Who moves the others most", text, lambda: influence_plots.plot_leadership(found)),
+        ("Who moves the others most", text, lambda: [influence_plots.plot_leadership(found)[0]]),
         ("Who moves whom", sentences.pairs(found), lambda: _network_and_matrix(found)),
     ]
 
 
-def _network_and_matrix(found: xr.Dataset) -> tuple[Figure, Any]:
+def _network_and_matrix(found: xr.Dataset) -> list[Figure]:
     """Draw influence as arrows, and as a matrix."""
-    figure = Figure(figsize=(10.2, 4.4), layout="constrained")
-    axes = figure.subplots(1, 2)
-    influence_plots.plot_influence_network(found, axes[0])
-    influence_plots.plot_influence_matrix(found, axes[1])
-    return figure, axes
+    return [
+        influence_plots.plot_influence_network(found)[0],
+        influence_plots.plot_influence_matrix(found)[0],
+    ]
+
+
+def _of_scores(found: xr.Dataset, text: str) -> list[Drawing]:
+    return [("Log score ahead", text, lambda: [plot_log_scores(found)[0]])]

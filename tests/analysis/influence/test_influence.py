@@ -14,6 +14,7 @@ from swarmssm.analysis.influence.posterior import influence, sentence
 from swarmssm.analysis.influence.ranks import rank_probabilities
 from swarmssm.analysis.influence.weights import WEIGHT_SAMPLES
 from swarmssm.analysis.motion import motion_of, posterior_paths
+from swarmssm.analysis.table import format_number
 from swarmssm.errors import InputError
 from swarmssm.models.transitions import BoidsTransition, SplineBasis
 
@@ -271,5 +272,6 @@ def test_the_sentence_says_the_numbers(make_fit, make_kernels, tracks):
     found = influence(make_fit(tracks, make_kernels(influence=prior)), tracks, 2)
     text = sentence(found)
     assert text.startswith("1 moves the others most")
-    assert f"{float(found['leadership'].sel(individual='1', quantile=0.5)):.2g} cm/s²" in text
+    middle = float(found["leadership"].sel(individual="1", quantile=0.5))
+    assert f"{format_number(middle, 2)} cm/s²" in text
     assert "1 is a leader (at a rate of false alarms of 5% or less)" in text
