@@ -19,6 +19,7 @@ from swarmssm.analysis.forces import (
     raw_force_map,
     true_forces,
 )
+from swarmssm.analysis.forecast_fans import forecast_fan
 from swarmssm.analysis.influence import find_leader, find_loners, leadership_delays
 from swarmssm.analysis.kernels import interaction_kernels, kernel_agreement, true_kernels
 from swarmssm.analysis.latents import latent_force_alignment
@@ -27,13 +28,14 @@ from swarmssm.analysis.recovery import recovery_study
 from swarmssm.analysis.report import (
     analysis_page,
     build_report,
+    full_section,
     gathered_page,
     report_analysis,
     report_gathered,
-    report_many,
     report_run,
     write_report,
 )
+from swarmssm.analysis.scenes import free_run, scenes_of, with_free_run
 from swarmssm.analysis.table import edge_table, format_number, horizon_table, scores_table
 from swarmssm.analysis.thesis import FOOTNOTE as THESIS_FOOTNOTE
 
@@ -57,7 +59,10 @@ __all__ = [
     "force_map",
     "force_maps",
     "force_summary",
+    "forecast_fan",
     "format_number",
+    "free_run",
+    "full_section",
     "gathered_page",
     "horizon_table",
     "interaction_kernels",
@@ -71,11 +76,12 @@ __all__ = [
     "recovery_study",
     "report_analysis",
     "report_gathered",
-    "report_many",
     "report_run",
+    "scenes_of",
     "scores_table",
     "simulation_based_calibration",
     "true_forces",
     "true_kernels",
+    "with_free_run",
     "write_report",
 ]

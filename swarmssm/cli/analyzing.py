@@ -1,12 +1,9 @@
 """``analyze``: what a fitted run says of forces, rules, latents and influence, and how surely."""
 
-import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-import rich.console
 import typer
 
 from swarmssm.cli.console import print_json, print_rows, say
@@ -20,6 +17,8 @@ from swarmssm.cli.options import (
     TrustCode,
     named_values,
 )
+from swarmssm.cli.progress import stages
+from swarmssm.cli.rivals import Against, load_rivals
 from swarmssm.errors import InputError
 from swarmssm.files import check_output, write_beside
 
@@ -41,12 +40,7 @@ def analyze(
         str | None,
         typer.Option(help="Some of forces,kernels,force_maps,latents,influence, with commas."),
     ] = None,
-    against: Annotated[
-        list[Path] | None,
-        typer.Option(
-            metavar="RUN", help="Another run to score held-out forecasts beside; repeatable."
-        ),
-    ] = None,
+    against: Against = None,
     scores: Annotated[
         bool,
         typer.Option(
@@ -65,6 +59,7 @@ def analyze(
 ) -> None:
     """Say which forces act, by which rule, what the latents carry, who moves whom; how surely."""
     from swarmssm import inference, io
+    from swarmssm.analysis.analyze import TITLES
     from swarmssm.analysis.analyze import analyze as all_analyses
     from swarmssm.analysis.findings import findings, findings_table
     from swarmssm.analysis.report.analysis_page import report_analysis
@@ -77,11 +72,9 @@ def analyze(
     options = _options(settings or [])
     chosen = None if only is None else [name.strip() for name in only.split(",")]
     fitted = inference.Fit.load(run, trust_code=trust_code)
-    rivals = {path.name: inference.Fit.load(path, trust_code=trust_code) for path in against or []}
-    if len(rivals) < len(against or []):
-        raise InputError("--against: two runs have one name. Rename the folder of one.")
+    rivals = load_rivals(against, fitted, trust_code)
     tracks = io.read(file)
-    with _asking() as show:
+    with stages() as show:
         found = all_analyses(
             fitted,
             tracks,
@@ -91,7 +84,7 @@ def analyze(
             only=chosen,
             rivals=rivals if against or scores else None,
             options=options,
-            progress=show,
+            progress=lambda name: show(f"analysing {TITLES[name]}"),
         )
     # Both or neither: data without the page would stand in the way of the next call.
     with write_beside(out, overwrite=overwrite) as temporary:
@@ -122,15 +115,3 @@ def _options(pairs: Sequence[str]) -> dict[str, dict[str, Any]]:
             raise InputError(f"--set: {name!r} is not of the form ANALYSIS.OPTION=VALUE.")
         options.setdefault(which, {})[option] = value
     return options
-
-
-@contextmanager
-def _asking() -> Iterator[Callable[[str], None]]:
-    """Show which analysis is at work: a moving line on a terminal, plain lines elsewhere."""
-    from swarmssm.analysis.analyze import TITLES
-
-    if sys.stderr.isatty():
-        with rich.console.Console(stderr=True).status("analysing") as status:
-            yield lambda name: status.update(f"analysing {TITLES[name]}")
-        return
-    yield lambda name: typer.echo(f"analysing {TITLES[name]}", err=True)

@@ -3,24 +3,41 @@
 import os
 import sys
 import warnings
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from swarmssm import __version__
 from swarmssm.cli.analyzing import analyze
+from swarmssm.cli.animating import animate
 from swarmssm.cli.calibrating import calibrate
+from swarmssm.cli.checking import check
 from swarmssm.cli.demo import demo
 from swarmssm.cli.fitting import fit
+from swarmssm.cli.gathering import gather
 from swarmssm.cli.running import evaluate, forecast, report, rollout
 from swarmssm.cli.simulating import simulate
 from swarmssm.cli.tracks import import_tracks, info
-from swarmssm.errors import SwarmssmError
+from swarmssm.errors import SwarmssmError, WorkError
 
 __all__ = ["app", "main"]
 
+
+class _Commands(TyperGroup):
+    """The subcommands; one that is stopped by hand has failed, and says so."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run a subcommand."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            raise WorkError("stopped by hand before the work was done.") from None
+
+
 app = typer.Typer(
     name="swarmssm",
+    cls=_Commands,
     help="Learn how the members of a group move each other, from their tracks alone.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -34,7 +51,10 @@ app.command("fit")(fit)
 app.command("evaluate")(evaluate)
 app.command("forecast")(forecast)
 app.command("rollout")(rollout)
+app.command("check")(check)
 app.command("analyze")(analyze)
+app.command("gather")(gather)
+app.command("animate")(animate)
 app.command("calibrate")(calibrate)
 app.command("report")(report)
 

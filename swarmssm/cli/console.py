@@ -60,6 +60,7 @@ def print_rows(title: str, rows: Sequence[Mapping[str, object]]) -> None:
 def print_evaluation(title: str, result: "Evaluation", thesis: str | None = None) -> None:
     """Print the scores of a fit beside those of its rivals, and of the thesis if asked."""
     from swarmssm import analysis
+    from swarmssm.analysis.table import format_unit
 
     print_rows(title, analysis.scores_table(result, thesis))
     if thesis is not None:
@@ -68,6 +69,15 @@ def print_evaluation(title: str, result: "Evaluation", thesis: str | None = None
     print_rows(
         "log score of positions at each step ahead, nats per coordinate (higher is better)",
         analysis.horizon_table(result, "log_score"),
+    )
+    unit = format_unit(result.settings["unit"])
+    print_rows(
+        f"CRPS of positions at each step ahead{f', {unit}' if unit else ''} (lower is better)",
+        analysis.horizon_table(result, "crps"),
+    )
+    print_rows(
+        "share of positions inside the 90 % interval of the forecast",
+        analysis.horizon_table(result, "coverage"),
     )
     print_rows("edges of the next graph", analysis.edge_table(result))
     for note in result.notes:

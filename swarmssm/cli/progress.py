@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from swarmssm.analysis.calibration.many_runs import Counted
     from swarmssm.inference import Progress
 
-__all__ = ["counting_progress", "training_progress"]
+__all__ = ["counting_progress", "stages", "training_progress"]
 
 #: Seconds between two lines where there is no terminal.
 LINE_EVERY = 10.0
@@ -98,3 +98,13 @@ class _Lines:
         if at_once or now - self.last >= LINE_EVERY:
             self.last = now
             typer.echo(f"{self.label}: {text}", err=True)
+
+
+@contextmanager
+def stages() -> Iterator[Callable[[str], None]]:
+    """Show what is being done: a moving line on a terminal, plain lines elsewhere."""
+    if sys.stderr.isatty():
+        with rich.console.Console(stderr=True).status("beginning") as status:
+            yield status.update
+        return
+    yield lambda what: typer.echo(what, err=True)

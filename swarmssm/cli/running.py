@@ -7,6 +7,8 @@ import typer
 
 from swarmssm.cli.console import print_evaluation, print_json, say, write_json
 from swarmssm.cli.options import File, Format, Overwrite, Run, Seed, TableFormat, TrustCode
+from swarmssm.cli.progress import stages
+from swarmssm.cli.rivals import Against, load_rivals
 from swarmssm.errors import InputError
 from swarmssm.files import check_output
 
@@ -119,11 +121,19 @@ def report(
     data: Annotated[
         Path | None, typer.Option(help="The tracks of the fit. Default: the file it was fitted on.")
     ] = None,
+    against: Against = None,
+    checks: Annotated[
+        bool, typer.Option(help="Compare the recording with swarms simulated from the model.")
+    ] = True,
+    forces: Annotated[bool, typer.Option(help="Say which forces act, and by which rule.")] = True,
+    player: Annotated[
+        bool, typer.Option(help="Let recording and a free run be played side by side.")
+    ] = True,
     seed: Seed = 0,
     trust_code: TrustCode = False,
     overwrite: Overwrite = False,
 ) -> None:
-    """Write one self-contained HTML page: data, scores, figures, provenance."""
+    """Write one self-contained HTML page: data, model, forecasts, checks, forces, comparison."""
     from swarmssm import analysis, inference, io
     from swarmssm.inference.fitting import tracks_digest
 
@@ -140,7 +150,19 @@ def report(
         raise InputError(
             f"{path}: these are not the tracks that {run} was fitted on. Name them with --data."
         )
-    analysis.report_run(fitted, tracks, out, overwrite=overwrite, seed=seed)
+    with stages() as show:
+        analysis.report_run(
+            fitted,
+            tracks,
+            out,
+            rivals=load_rivals(against, fitted, trust_code) or None,
+            checks=checks,
+            forces=forces,
+            player=player,
+            overwrite=overwrite,
+            seed=seed,
+            progress=show,
+        )
     say(f"{out}: written.")
 
 

@@ -12,19 +12,20 @@ from swarmssm import inference
 from swarmssm.analysis import (
     build_report,
     evaluate,
+    full_section,
     horizon_table,
     plots,
-    report_many,
     report_run,
     write_report,
 )
-from swarmssm.analysis.report import section_of, sections
+from swarmssm.analysis.report import build, section_of, sections
 from swarmssm.analysis.report.embed import as_svg
 from swarmssm.errors import InputError
 from swarmssm.inference import Fit
 
 VOID = {"area", "br", "col", "hr", "img", "input", "link", "meta", "source", "wbr"}
 FEW = {"horizons": (1, 5), "free_run_steps": 10, "draws": 2, "starts": 2, "origins": 10}
+BRIEF = {"checks": False, "forces": False, "player": False}
 EVIL = "<script>alert('&')</script>\"'><img src=x>$\\frac"
 
 
@@ -245,14 +246,15 @@ def test_the_tracks_of_others_need_no_attribution(planted, quick_fit, boids):
 @pytest.mark.usefixtures("no_pictures")
 def test_a_report_is_written_whole_and_not_over_another(tmp_path, quick_fit, boids, evaluation):
     path = tmp_path / "r.html"
-    assert report_run(quick_fit, boids, path, evaluation=evaluation) == path
+    assert report_run(quick_fit, boids, path, evaluation=evaluation, **BRIEF) == path
     text = path.read_text(encoding="utf-8")
     Page(text)
     assert "<h1>graph-vae on tracks</h1>" in text
     with pytest.raises(InputError, match="exists already"):
         report_run(quick_fit, boids, path, evaluation=evaluation)
     assert path.read_text(encoding="utf-8") == text
-    report_run(quick_fit, boids, path, title="Other", evaluation=evaluation, overwrite=True)
+    again = {"title": "Other", "evaluation": evaluation, "overwrite": True}
+    report_run(quick_fit, boids, path, **again, **BRIEF)
     assert "<h1>Other</h1>" in path.read_text(encoding="utf-8")
     assert [p.name for p in tmp_path.iterdir()] == ["r.html"]
 
@@ -260,8 +262,11 @@ def test_a_report_is_written_whole_and_not_over_another(tmp_path, quick_fit, boi
 @pytest.mark.usefixtures("no_pictures")
 def test_many_runs_share_a_page(tmp_path, quick_fit, boids, evaluation):
     path = tmp_path / "r.html"
-    runs = [("One", quick_fit, boids, evaluation), ("Two", quick_fit, boids)]
-    report_many(runs, path, title="All", **FEW)
+    several = [
+        full_section("One", quick_fit, boids, anchor="one", evaluation=evaluation, **BRIEF),
+        full_section("Two", quick_fit, boids, anchor="two", **BRIEF, **FEW),
+    ]
+    write_report(several, path, title="All")
     page = Page(path.read_text(encoding="utf-8"))
     headings = {data.strip() for tag, data in page.text if tag == "h2"}
     assert {"In short", "One", "Two"} <= headings
@@ -277,3 +282,45 @@ def test_mistakes_are_told(tmp_path, quick_fit, boids, planted):
         build_report([section, section])
     with pytest.raises(InputError, match="does not exist"):
         write_report([section], tmp_path / "none" / "r.html")
+
+
+def test_a_whole_report_has_checks_forces_comparison_and_a_player(tmp_path, boids, monkeypatch):
+    """Of a model of forces; with few draws."""
+    for name, value in (("CHECK_DRAWS", 12), ("FORCE_DRAWS", 2), ("PLAYED", 10)):
+        monkeypatch.setattr(build, name, value)
+    fit = inference.fit("boids", "auto", boids, model_options={"limits": False})
+    rival = inference.fit("graph-vae", "encoder", boids, epochs=1)
+    told = []
+    path = tmp_path / "whole.html"
+    report_run(fit, boids, path, rivals={"vae": rival}, progress=told.append, **FEW)
+    text = path.read_text(encoding="utf-8")
+    page = Page(text)
+    check_headings(page)
+    headings = [data.strip() for tag, data in page.text if tag == "h2"]
+    for name in ("Data", "Model", "Training", "Forecasts", "Checks", "Forces and kernels"):
+        assert headings.count(name) == 1, name
+    assert headings.index("Checks") < headings.index("Comparison") < headings.index("Provenance")
+    words = page.words()
+    assert "Left out" not in words
+    assert "LogNormal" in words
+    assert "vae" in words
+    assert len(page.named("canvas")) == 2
+    assert text.count("<script") - text.count('type="application/json"') == 1
+    places = [attrs["id"] for _, attrs, _ in page.tags if "id" in attrs]
+    assert len(places) == len(set(places))
+    assert len(told) == 6
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_what_cannot_be_had_is_said(quick_fit, boids, evaluation, monkeypatch):
+    def refuse(*args, **kwargs):
+        raise InputError("statistics: there are none.")
+
+    monkeypatch.setattr(build, "check", refuse)
+    monkeypatch.setattr(build, "one_step_pit", refuse)
+    section = full_section(
+        "Run", quick_fit, boids, evaluation=evaluation, forces=False, player=False
+    )
+    text = build_report([section])
+    assert "Left out: simulating swarms. statistics: there are none." in text
+    assert not any(chapter.heading == "Checks" for chapter in section.chapters)

@@ -4,6 +4,7 @@ None of them touches pyplot: a figure is gone when nobody holds it. In space the
 scale, and y grows upwards whatever the recording's own picture does.
 """
 
+from swarmssm.analysis.plots.animation import animate, write_animation
 from swarmssm.analysis.plots.calibration import (
     plot_calibration,
     plot_coverage,
@@ -16,6 +17,7 @@ from swarmssm.analysis.plots.forces import (
     plot_force_magnitudes,
     plot_force_shares,
 )
+from swarmssm.analysis.plots.forecasts import plot_forecast, plot_forecast_over_time
 from swarmssm.analysis.plots.gathered import plot_gathered_shares, plot_log_scores
 from swarmssm.analysis.plots.graphs import plot_edge_accuracy, plot_graphs
 from swarmssm.analysis.plots.influence import (
@@ -25,6 +27,7 @@ from swarmssm.analysis.plots.influence import (
     plot_leadership,
 )
 from swarmssm.analysis.plots.kernels import plot_force_maps, plot_kernels, plot_modulation
+from swarmssm.analysis.plots.latent_paths import plot_latent_paths
 from swarmssm.analysis.plots.latents import (
     plot_effort,
     plot_latents,
@@ -34,6 +37,7 @@ from swarmssm.analysis.plots.latents import (
 from swarmssm.analysis.plots.model_graph import plot_model
 from swarmssm.analysis.plots.presence import plot_presence
 from swarmssm.analysis.plots.recovery import plot_recovery
+from swarmssm.analysis.plots.tracks import plot_tracks
 from swarmssm.analysis.plots.trajectories import (
     plot_imitation,
     plot_random_starts,
@@ -42,6 +46,7 @@ from swarmssm.analysis.plots.trajectories import (
 )
 
 __all__ = [
+    "animate",
     "plot_calibration",
     "plot_collective",
     "plot_coverage",
@@ -52,6 +57,8 @@ __all__ = [
     "plot_force_magnitudes",
     "plot_force_maps",
     "plot_force_shares",
+    "plot_forecast",
+    "plot_forecast_over_time",
     "plot_gathered_shares",
     "plot_graphs",
     "plot_horizon_errors",
@@ -60,6 +67,7 @@ __all__ = [
     "plot_influence_matrix",
     "plot_influence_network",
     "plot_kernels",
+    "plot_latent_paths",
     "plot_latents",
     "plot_leadership",
     "plot_log_scores",
@@ -72,6 +80,8 @@ __all__ = [
     "plot_rotated_axes",
     "plot_snapshots",
     "plot_sources",
+    "plot_tracks",
     "plot_training",
     "plot_trajectories",
+    "write_animation",
 ]

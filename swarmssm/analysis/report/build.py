@@ -1,20 +1,36 @@
 """From sections to one self-contained HTML file."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import xarray as xr
+from markupsafe import Markup
 
+from swarmssm.analysis.analyze import analyze
+from swarmssm.analysis.checks import check, one_step_pit
 from swarmssm.analysis.evaluate import evaluate
 from swarmssm.analysis.evaluation import Evaluation
+from swarmssm.analysis.report.blocks import Fragment
 from swarmssm.analysis.report.page import render, write_page
+from swarmssm.analysis.report.player import player_assets, player_fragment
 from swarmssm.analysis.report.sections import Section, section_of
-from swarmssm.errors import InputError
+from swarmssm.analysis.scenes.free_run import with_free_run
+from swarmssm.analysis.scores.backtest import backtest
+from swarmssm.errors import InputError, SwarmssmError
 from swarmssm.files import check_output
 from swarmssm.inference import Fit
 
-__all__ = ["build_report", "report_many", "report_run", "write_report"]
+__all__ = ["build_report", "full_section", "report_run", "write_report"]
+
+#: Swarms that are simulated for the checks: no p-value is below one in so many.
+CHECK_DRAWS = 100
+#: Draws of paths behind forces and maps.
+FORCE_DRAWS = 5
+FORCES = ("forces", "kernels", "force_maps")
+#: Frames of a free run that can be played.
+PLAYED = 300
 
 
 def build_report(sections: Sequence[Section], title: str = "swarmssm report") -> str:
@@ -37,7 +53,11 @@ def build_report(sections: Sequence[Section], title: str = "swarmssm report") ->
     anchors = [section.anchor for section in sections]
     if len(set(anchors)) < len(anchors):
         raise InputError(f"sections: their anchors must differ, and they are {', '.join(anchors)}.")
-    return render("page.html", title=title, sections=sections)
+    blocks = [one for section in sections for chapter in section.chapters for one in chapter.blocks]
+    moving = any(isinstance(one, Fragment) for one in blocks)
+    # All players share one script and one style, which stand behind the last.
+    assets = player_assets() if moving else Markup("")
+    return render("page.html", title=title, sections=sections, assets=assets)
 
 
 def write_report(
@@ -73,36 +93,128 @@ def write_report(
     return write_page(build_report(sections, title), path, overwrite=overwrite)
 
 
+def full_section(
+    title: str,
+    fit: Fit,
+    tracks: xr.Dataset,
+    *,
+    anchor: str = "run",
+    evaluation: Evaluation | None = None,
+    rivals: Mapping[str, Fit] | None = None,
+    checks: bool = True,
+    forces: bool = True,
+    player: bool = True,
+    thesis: str | None = "auto",
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+    **options: Any,
+) -> Section:
+    """Ask all that can be asked of a fit, and return the section that tells it.
+
+    Parameters
+    ----------
+    title, fit, tracks, anchor, thesis
+        As for :func:`swarmssm.analysis.report.section_of`.
+    evaluation
+        What :func:`swarmssm.analysis.evaluate` returned for them, if it is there already.
+    rivals
+        Other fits, by name, to be scored on the same held-out frames; absent, none.
+    checks
+        Whether to check the fit by swarms simulated from it.
+    forces
+        Whether to say which forces act and by which rule, with few draws:
+        :func:`swarmssm.analysis.analyze` says more.
+    player
+        Whether the recording and a free run beside it can be played.
+    seed
+        Of all draws.
+    progress
+        Called with what is done next, in words.
+    **options
+        For :func:`swarmssm.analysis.evaluate`.
+
+    Raises
+    ------
+    InputError
+        As :func:`swarmssm.analysis.evaluate`. What cannot be had of this model or these tracks
+        is left out, and a note in the page says why.
+    """
+    show = progress or (lambda what: None)
+    if evaluation is None:
+        show("scoring forecasts")
+        evaluation = evaluate(fit, tracks, seed=seed, **options)
+    part = str(evaluation.settings["part"])
+    left_out: list[str] = []
+    found: dict[str, Any] = {}
+
+    def ask(name: str, words: str, question: Callable[[], Any]) -> None:
+        show(words)
+        try:
+            found[name] = question()
+        except SwarmssmError as error:
+            left_out.append(f"Left out: {words}. {error}")
+
+    if checks:
+        ask(
+            "checked",
+            "simulating swarms",
+            lambda: check(fit, tracks, draws=CHECK_DRAWS, part=part, seed=seed),
+        )
+        ask("pit", "how sure one step is", lambda: one_step_pit(fit, tracks, part=part, seed=seed))
+    if forces:
+        ask(
+            "analysis",
+            "forces and kernels",
+            lambda: analyze(fit, tracks, draws=FORCE_DRAWS, part=part, seed=seed, only=FORCES),
+        )
+    if rivals is not None:
+        ask(
+            "scores",
+            "comparing with rivals",
+            lambda: backtest({fit.settings.model: fit, **rivals}, tracks, part=part, seed=seed),
+        )
+    if player:
+        ask("player", "a free run to play", lambda: _player(fit, tracks, seed))
+    evaluation = replace(evaluation, notes=(*evaluation.notes, *left_out))
+    return section_of(title, fit, tracks, evaluation, anchor=anchor, thesis=thesis, **found)
+
+
+def _player(fit: Fit, tracks: xr.Dataset, seed: int) -> Markup:
+    """Return the recording beside a free run, of as many frames as a page can hold."""
+    seen, run = with_free_run(fit, tracks, seed=seed)
+    frames = slice(0, PLAYED)
+    return player_fragment(
+        seen.isel(time=slice(0, seen.sizes["time"] - run.sizes["time"] + PLAYED)),
+        run.isel(time=frames),
+        titles=("Observed", "Free run of the model"),
+        label="The recording beside a free run of the model",
+        assets=False,
+    )
+
+
 def report_run(
     fit: Fit,
     tracks: xr.Dataset,
     path: str | Path,
     *,
     title: str | None = None,
-    evaluation: Evaluation | None = None,
-    thesis: str | None = "auto",
     overwrite: bool = False,
     **options: Any,
 ) -> Path:
-    """Evaluate one fit and write its report.
+    """Ask all that can be asked of one fit, and write its report.
 
     Parameters
     ----------
     fit, tracks
-        A fit and the tracks to evaluate it on.
+        A fit and the tracks to judge it by.
     path
         The file to write.
     title
         Heading; default names the model and the file.
-    evaluation
-        What :func:`swarmssm.analysis.evaluate` returned for them, if it is there already.
-    thesis
-        Which of the thesis's tables to print beside, see
-        :func:`swarmssm.analysis.table.scores_table`.
     overwrite
         Whether an existing file may be replaced.
     **options
-        For :func:`swarmssm.analysis.evaluate`.
+        For :func:`full_section`.
 
     Returns
     -------
@@ -111,53 +223,11 @@ def report_run(
     Raises
     ------
     InputError, WorkError
-        As :func:`swarmssm.analysis.evaluate` and :func:`write_report`.
+        As :func:`full_section` and :func:`write_report`.
     """
     check_output(Path(path), overwrite=overwrite)
     if title is None:
         source = str(tracks.attrs.get("source_file", "")) or "tracks"
         title = f"{fit.settings.model} on {source}"
-    if evaluation is None:
-        evaluation = evaluate(fit, tracks, **options)
-    section = section_of(title, fit, tracks, evaluation, thesis=thesis)
+    section = full_section(title, fit, tracks, **options)
     return write_report([section], path, title=title, overwrite=overwrite)
-
-
-def report_many(
-    runs: Sequence[tuple[str, Fit, xr.Dataset] | tuple[str, Fit, xr.Dataset, Evaluation]],
-    path: str | Path,
-    *,
-    title: str = "swarmssm report",
-    overwrite: bool = False,
-    **options: Any,
-) -> Path:
-    """Evaluate several fits and write one report with a section on each.
-
-    Parameters
-    ----------
-    runs
-        ``(title, fit, tracks)`` each, or with the evaluation as a fourth if it is there already.
-    path
-        The file to write.
-    title
-        Heading of the page.
-    overwrite
-        Whether an existing file may be replaced.
-    **options
-        For :func:`swarmssm.analysis.evaluate`.
-
-    Returns
-    -------
-    The path.
-
-    Raises
-    ------
-    InputError, WorkError
-        As :func:`swarmssm.analysis.evaluate` and :func:`write_report`.
-    """
-    check_output(Path(path), overwrite=overwrite)
-    sections = []
-    for index, (heading, fit, tracks, *done) in enumerate(runs, start=1):
-        evaluation = done[0] if done else evaluate(fit, tracks, **options)
-        sections.append(section_of(heading, fit, tracks, evaluation, anchor=f"run{index}"))
-    return write_report(sections, path, title=title, overwrite=overwrite)

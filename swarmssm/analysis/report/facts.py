@@ -3,6 +3,7 @@
 from collections import Counter
 from typing import Any
 
+import numpy as np
 import xarray as xr
 
 from swarmssm.analysis.evaluation import Evaluation
@@ -126,12 +127,12 @@ def presence_sentence(tracks: xr.Dataset) -> str:
         return f"{text}; there is no gap."
     tracked = tracks["position"].notnull().all("space")
     share = tracked.mean([name for name in tracked.dims if name != "individual"])
-    worst = share.isel(individual=int(share.argmin()))
-    name = str(worst["individual"].item())
+    least = int(np.argmin(share.to_numpy()))
+    name = str(tracks["individual"].to_numpy()[least])
     return (
         f"{text}, with {found['gaps']} gaps, the longest of {found['longest_gap']} frames; "
-        f"individual {name} is tracked least, {100 * float(worst):.0f} %. What lies in a gap is "
-        "inferred by a state-space model, and left out by any other."
+        f"individual {name} is tracked least, {100 * float(share[least]):.0f} %. What lies in a "
+        "gap is inferred by a state-space model, and left out by any other."
     )
 
 

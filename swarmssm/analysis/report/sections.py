@@ -1,7 +1,7 @@
 """One run as a section of a report: data, model, training, forecasts, and what was asked more."""
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,11 +10,14 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from swarmssm.analysis import plots
+from swarmssm.analysis.analyzed import Analysis
 from swarmssm.analysis.evaluation import Evaluation
 from swarmssm.analysis.plots.model_graph import plot_model
 from swarmssm.analysis.plots.presence import plot_presence
 from swarmssm.analysis.report import sentences
+from swarmssm.analysis.report.analysis_chapters import analysis_chapter
 from swarmssm.analysis.report.blocks import Chapter, Facts, Fragment, Notes, Picture, Table
+from swarmssm.analysis.report.chapters import check_chapter, comparison_chapter
 from swarmssm.analysis.report.embed import as_svg, house_style
 from swarmssm.analysis.report.facts import (
     data_facts,
@@ -65,7 +68,10 @@ def section_of(
     *,
     anchor: str = "run",
     thesis: str | None = "auto",
-    further: Sequence[Chapter] = (),
+    checked: xr.Dataset | None = None,
+    pit: xr.Dataset | None = None,
+    analysis: Analysis | None = None,
+    scores: xr.Dataset | None = None,
     player: Markup | None = None,
 ) -> Section:
     """Return the section on one run.
@@ -81,8 +87,14 @@ def section_of(
     thesis
         Which of the thesis's tables to print beside, see
         :func:`swarmssm.analysis.table.scores_table`.
-    further
-        Chapters that stand between forecasts and provenance.
+    checked, pit
+        From :func:`swarmssm.analysis.checks.check` and
+        :func:`~swarmssm.analysis.checks.one_step_pit`; absent, there is no chapter on checks.
+    analysis
+        From :func:`swarmssm.analysis.analyze`; absent, there is none on forces and kernels.
+    scores
+        From :func:`swarmssm.analysis.scores.backtest` of this fit and its rivals; absent, there is
+        no comparison.
     player
         Tracks that move, at the head of the forecasts, see
         :func:`swarmssm.analysis.report.player.player_fragment`.
@@ -97,7 +109,9 @@ def section_of(
             _model(anchor, fit),
             _training(anchor, evaluation),
             _forecasts(anchor, evaluation, thesis, player),
-            *further,
+            check_chapter(anchor, checked, pit),
+            analysis_chapter(anchor, analysis),
+            comparison_chapter(anchor, scores),
             Chapter(
                 "provenance",
                 "Provenance",

@@ -1,0 +1,27 @@
+"""Posterior predictive checks: whole swarms from the posterior beside the one that was seen.
+
+- :func:`check`: compare a recording with replicates by a list of statistics, ready-made or own.
+- :func:`sentence`: what a check found, in plain words.
+- :func:`one_step_pit`: where each sighting falls in its one-step forecast.
+"""
+
+from swarmssm.analysis.checks.arenas import arena_of
+from swarmssm.analysis.checks.comparison import check
+from swarmssm.analysis.checks.observables import Axis
+from swarmssm.analysis.checks.pit import one_step_pit, pit_sentence
+from swarmssm.analysis.checks.statistics import STATISTICS, Statistic
+from swarmssm.analysis.checks.swarm import Scales, Swarm
+from swarmssm.analysis.checks.verdicts import sentence
+
+__all__ = [
+    "STATISTICS",
+    "Axis",
+    "Scales",
+    "Statistic",
+    "Swarm",
+    "arena_of",
+    "check",
+    "one_step_pit",
+    "pit_sentence",
+    "sentence",
+]

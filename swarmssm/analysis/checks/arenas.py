@@ -1,0 +1,92 @@
+"""Where the walls of a recording are known from."""
+
+import json
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from swarmssm.errors import InputError
+from swarmssm.inference import Fit
+from swarmssm.inference.guides import PathGuide
+from swarmssm.metrics.arena import Arena
+from swarmssm.models import StateSpaceModel
+
+__all__ = ["arena_of"]
+
+#: Attributes of tracks that hold the corners of the arena, with or without ``_<unit>`` behind.
+ATTRIBUTES = ("arena", "arena_border", "tank_wall")
+
+
+def arena_of(fit: Fit, tracks: xr.Dataset, walls: Arena | str | None = None) -> Arena | None:
+    """Return the arena, and say in ``source`` where it is known from.
+
+    Parameters
+    ----------
+    fit
+        A model with soft walls is asked second.
+    tracks
+        Their attribute ``arena``, ``arena_border`` or ``tank_wall`` - corners, as an array or as
+        JSON, two of them for a box - is asked first.
+    walls
+        An arena; ``"hull"``: the convex hull of all positions; ``"none"``; absent: as above, and
+        none if neither knows of walls.
+
+    Raises
+    ------
+    InputError
+        If ``walls`` is something else, or has other dimensions than the tracks.
+    """
+    space = int(tracks.sizes["space"])
+    if isinstance(walls, Arena):
+        if walls.num_space != space:
+            raise InputError(
+                f"walls: they have {walls.num_space} dimensions, and the tracks have {space}."
+            )
+        return walls
+    if walls == "hull":
+        points = tracks["position"].transpose(..., "space").to_numpy().reshape(-1, space)
+        return Arena.around(points, "the convex hull of all recorded positions")
+    if walls not in (None, "none"):
+        raise InputError(f"walls: give an Arena, 'hull' or 'none', not {walls!r}.")
+    if walls == "none" or space < 2:
+        return None
+    return _told(tracks, space) or _inferred(fit, space)
+
+
+def _told(tracks: xr.Dataset, space: int) -> Arena | None:
+    """Return the arena that the tracks carry."""
+    unit = str(tracks.attrs.get("unit", ""))
+    for name in ATTRIBUTES:
+        for label in (name, f"{name}_{unit}"):
+            value: Any = tracks.attrs.get(label)
+            if value is None:
+                continue
+            try:
+                corners = np.asarray(json.loads(value) if isinstance(value, str) else value, float)
+                if corners.ndim != 2 or corners.shape[1] != space:
+                    raise ValueError(f"its shape is {corners.shape}")
+                return Arena.around(corners, f"the tracks' attribute {label}")
+            except (TypeError, ValueError) as error:
+                raise InputError(
+                    f"tracks: the attribute {label} must hold corners (corner, space) of the "
+                    f"arena, two for a box ({error}). Mend it, or pass walls='none'."
+                ) from error
+    return None
+
+
+def _inferred(fit: Fit, space: int) -> Arena | None:
+    """Return the soft walls of a model, in the middle of its posterior."""
+    transition = getattr(fit.model, "transition", None)
+    if not isinstance(fit.model, StateSpaceModel) or not getattr(transition, "has_wall", False):
+        return None
+    middle = fit.guide.parameters_guide.median() if isinstance(fit.guide, PathGuide) else {}
+    with fit.given(middle):
+        half, centre = (
+            np.broadcast_to(np.asarray(getattr(transition, name).detach(), float), (space,))
+            for name in ("half_width", "center")
+        )
+    scaler = fit.preparation.scaler
+    scale, offset = np.array(scaler.scale[:space]), np.array(scaler.offset[:space])
+    low, high = ((centre + sign * half) * scale + offset for sign in (-1, 1))
+    return Arena.box(low, high, "the soft walls of the fitted model")

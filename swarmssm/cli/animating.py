@@ -1,0 +1,153 @@
+"""``animate``: tracks in motion, a free run of a fitted model beside them."""
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import rich.console
+import rich.progress
+import typer
+
+from swarmssm.cli.console import say
+from swarmssm.cli.options import File, Overwrite, Seed, TrustCode
+from swarmssm.errors import InputError
+from swarmssm.files import check_output
+
+if TYPE_CHECKING:
+    from swarmssm.analysis.scenes.scene import Choice
+
+__all__ = ["animate"]
+
+#: Seconds between two lines of progress where there is no terminal.
+LINE_EVERY = 10.0
+
+
+def animate(
+    file: File,
+    out: Annotated[
+        Path,
+        typer.Option(help="What to write: .html, a player; .gif; or .mp4, which needs ffmpeg."),
+    ],
+    run: Annotated[
+        Path | None, typer.Option(help="Run folder: show a free run from START beside the tracks.")
+    ] = None,
+    start: Annotated[
+        float | None,
+        typer.Option(
+            help="Seconds: the first frame. Default: the first of all; with --run, where the run's "
+            "test part begins, or half-way through other tracks."
+        ),
+    ] = None,
+    steps: Annotated[
+        int | None, typer.Option(help="Steps from there. Default: to the end.", min=1)
+    ] = None,
+    every: Annotated[int, typer.Option(help="Show each so many-th frame.", min=1)] = 1,
+    trial: Annotated[str | None, typer.Option(help="Which trial. Default: the first.")] = None,
+    individuals: Annotated[
+        str | None, typer.Option(help="Labels of those to show, with commas. Default: all.")
+    ] = None,
+    edges: Annotated[
+        str,
+        typer.Option(
+            help="auto (the graph of the tracks, or of the run), none, or a rule such as "
+            "k-nearest:6, radius:5 or visual."
+        ),
+    ] = "auto",
+    tail: Annotated[int, typer.Option(help="Frames of path behind each individual.", min=0)] = 25,
+    fps_out: Annotated[
+        float | None,
+        typer.Option("--fps-out", help="Frames shown a second. Default: as fast as it was."),
+    ] = None,
+    noise: Annotated[
+        bool, typer.Option("--noise/--no-noise", help="Draw the noise of the free run, or not.")
+    ] = True,
+    seed: Seed = 0,
+    trust_code: TrustCode = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Show tracks in motion: a player to open in a browser, or a film."""
+    from swarmssm import inference, io
+    from swarmssm.analysis.plots.animation import WRITERS, check_film
+    from swarmssm.analysis.scenes import with_free_run
+
+    page = out.suffix.lower() in (".html", ".htm")
+    if page:
+        check_output(out, overwrite=overwrite)
+    elif out.suffix.lower() in WRITERS:
+        check_film(out, overwrite=overwrite)
+    else:
+        raise InputError(f"{out}: its ending says what to write; it must be .html, .gif or .mp4.")
+    fitted = None if run is None else inference.Fit.load(run, trust_code=trust_code)
+    tracks, predicted = io.read(file), None
+    titles = ("observed", "predicted")
+    if fitted is not None:
+        tracks, predicted = with_free_run(
+            fitted, tracks, trial=trial, start=start, steps=steps, noise=noise, seed=seed
+        )
+        trial, start = None, float(predicted.attrs["free_run_start"])
+        titles = ("observed", f"free run of {fitted.settings.model}")
+    choice: Choice = {
+        "trial": trial,
+        "start": start,
+        "steps": steps,
+        "every": every,
+        "edges": {"auto": True, "none": False}.get(edges, edges),
+    }
+    if individuals is not None:
+        choice["individuals"] = [name.strip() for name in individuals.split(",")]
+    if page:
+        from swarmssm.analysis.report.player import write_player
+
+        write_player(
+            tracks,
+            out,
+            predicted,
+            overwrite=overwrite,
+            title=f"Tracks of {file.name}",
+            titles=(titles[0].capitalize(), titles[1].capitalize()),
+            tail=tail,
+            fps_out=fps_out,
+            **choice,
+        )
+    else:
+        from swarmssm.analysis.plots import animation as films
+        from swarmssm.analysis.report.embed import house_style
+
+        pace = {".gif": films.FASTEST_GIF}.get(out.suffix.lower(), films.FASTEST)
+        with house_style(), _drawing(str(out)) as show:
+            film = films.animate(
+                tracks,
+                predicted,
+                titles=titles,
+                tail=tail,
+                fps_out=fps_out,
+                fastest=pace,
+                **choice,
+            )
+            films.write_animation(film, out, overwrite=overwrite, progress=show)
+    begins = "" if start is None else f" from {start:.4g} s"
+    beside = "" if fitted is None else f", beside them a {titles[1]}"
+    say(f"{out}: written. It shows the tracks of {file}{begins}{beside}.")
+
+
+@contextmanager
+def _drawing(label: str) -> Iterator[Callable[[int, int], None]]:
+    """Show how many frames are drawn: a bar on a terminal, plain lines elsewhere."""
+    if sys.stderr.isatty():
+        console = rich.console.Console(stderr=True)
+        with rich.progress.Progress(console=console) as bar:
+            task = bar.add_task(label, total=None)
+            yield lambda done, total: bar.update(task, completed=done, total=total)
+        return
+    last = time.monotonic()
+
+    def line(done: int, total: int) -> None:
+        nonlocal last
+        if time.monotonic() - last >= LINE_EVERY:
+            last = time.monotonic()
+            typer.echo(f"{label}: {done} of {total} frames drawn", err=True)
+
+    yield line
