@@ -4,9 +4,9 @@
         [--folder which_rule] [--steps 300] [--origins 40]
 
 For each recording `kernel`, `boids` and `graph-ssm` are fitted to the first 70 % of the frames (of
-the drives, for sheep), and score the last 15 %: log score of positions, nats per coordinate,
-beside constant velocity. Fits that are in the folder are not done again. Also written are
-`SET.nc` for `swarmssm analyze FOLDER/SET-kernel FOLDER/SET.nc`.
+the drives, for sheep), and score the last 15 %: log score and CRPS of positions, beside constant
+velocity and staying put, from the same frames. Fits that are in the folder are not done again. Also
+written are `SET.nc` for `swarmssm analyze FOLDER/SET-kernel FOLDER/SET.nc`.
 """
 
 import argparse
@@ -18,11 +18,8 @@ import torch
 import xarray as xr
 
 from swarmssm import inference, io
-from swarmssm.analysis.forecasters import BaselineForecaster, ModelForecaster
-from swarmssm.analysis.log_scores import log_scores
-from swarmssm.analysis.subject import subject_of
+from swarmssm.analysis.scores import backtest, score_table, sentence
 from swarmssm.inference import Fit
-from swarmssm.models.baselines import ConstantVelocity
 from swarmssm.tracks import make_tracks
 
 HORIZONS = (1, 2, 5, 10, 20)
@@ -69,24 +66,6 @@ def fitted(place: Path, model: str, tracks: xr.Dataset, steps: int) -> Fit:
     return fit
 
 
-def scores(fits: list[Fit], tracks: xr.Dataset, origins: int) -> dict[str, np.ndarray]:
-    """Return the log score of each model at each step, and of constant velocity."""
-    found = {}
-    for fit in fits:
-        subject = subject_of(fit, tracks)
-        steps = max(HORIZONS)
-        seen = subject.mask[:, : subject.mask.shape[1] - steps].any(-1)
-        trials, rows = np.nonzero(seen)
-        chosen = np.linspace(0, len(rows) - 1, min(origins, len(rows))).astype(int)
-        forecasters = [
-            ModelForecaster(subject, "decoder"),
-            BaselineForecaster(subject, ConstantVelocity()),
-        ]
-        told, _ = log_scores(subject, forecasters, trials[chosen], rows[chosen], steps, seed=0)
-        found |= told
-    return found
-
-
 def main() -> None:
     """Fit what is missing, and print a table for each recording."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -107,9 +86,12 @@ def main() -> None:
             model: fitted(options.folder / f"{name}-{model}", model, tracks, options.steps)
             for model in MODELS
         }
-        print(f"\n{name}: log score, nats per coordinate, after steps {HORIZONS}")
-        for model, told in scores([*fits.values()], tracks, options.origins).items():
-            print(f"  {model:18s}", " ".join(f"{told[step - 1]:8.2f}" for step in HORIZONS))
+        found = backtest(fits, tracks, horizons=HORIZONS, origins=options.origins)
+        for score, words in (("log_score", "log score, nats per coordinate"), ("crps", "CRPS")):
+            print(f"\n{name}: {words}, after steps {found['horizon'].values.tolist()}")
+            for model, row in score_table(found, score).to_pandas().iterrows():
+                print(f"  {model:18s}", " ".join(f"{value:8.2f}" for value in row))
+        print(sentence(found))
 
 
 if __name__ == "__main__":

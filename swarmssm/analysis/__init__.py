@@ -36,6 +36,13 @@ from swarmssm.analysis.report import (
     write_report,
 )
 from swarmssm.analysis.scenes import free_run, scenes_of, with_free_run
+from swarmssm.analysis.scores import (
+    backtest,
+    paired_difference,
+    score_intervals,
+    score_table,
+    skill,
+)
 from swarmssm.analysis.table import edge_table, format_number, horizon_table, scores_table
 from swarmssm.analysis.thesis import FOOTNOTE as THESIS_FOOTNOTE
 
@@ -48,6 +55,7 @@ __all__ = [
     "PosteriorPaths",
     "analysis_page",
     "analyze",
+    "backtest",
     "build_report",
     "edge_table",
     "evaluate",
@@ -70,6 +78,7 @@ __all__ = [
     "latent_force_alignment",
     "leadership_delays",
     "motion_of",
+    "paired_difference",
     "posterior_forces",
     "posterior_paths",
     "raw_force_map",
@@ -78,8 +87,11 @@ __all__ = [
     "report_gathered",
     "report_run",
     "scenes_of",
+    "score_intervals",
+    "score_table",
     "scores_table",
     "simulation_based_calibration",
+    "skill",
     "true_forces",
     "true_kernels",
     "with_free_run",

@@ -18,7 +18,8 @@ from swarmssm.analysis.forecasters import (
     law_forecaster,
 )
 from swarmssm.analysis.free_runs import collective_scores
-from swarmssm.analysis.log_scores import log_scores
+from swarmssm.analysis.scores.densities import mean_scores, position_scores
+from swarmssm.analysis.scores.frames import rolling_origins
 from swarmssm.analysis.subject import Subject, subject_of
 from swarmssm.analysis.thesis import thesis_table_for
 from swarmssm.errors import InputError
@@ -29,6 +30,9 @@ from swarmssm.tracks import Array
 __all__ = ["evaluate"]
 
 HORIZONS = (1, 5, 10, 20, 50)
+#: Futures from which the density of a forecast is taken, and the levels of its intervals.
+DENSITY_DRAWS = 100
+LEVELS = (0.5, 0.8, 0.9)
 #: What a baseline's next graph is.
 EDGE_TITLES = {
     "stay-put": "same graph as before",
@@ -60,9 +64,10 @@ def evaluate(
     - *One step*: each frame from the frames before it, at the posterior mean.
     - *K steps*: the expected future of up to ``origins`` frames of each trial, without noise. At
       each step those count whose truth is known, so that later steps rest on fewer origins.
-    - *Log score*: how probable each made the positions that came, K steps ahead, as a normal
-      distribution: of sampled futures with tracking noise, or, for the baselines, about what
-      they expect with the spread of their errors in the training part.
+    - *Log score, CRPS and coverage*: how good the density is that each has of the positions to
+      come, K steps ahead: that of sampled futures with tracking noise, or, for the baselines, a
+      normal about what they expect with the spread of their errors in the training part. See
+      :func:`swarmssm.analysis.scores.backtest`, which compares several fits so.
     - *Free runs*: with everything drawn, ``draws`` times from each start. The cohesion AMD (4.4)
       and the alignment AVD (4.5) of the same individuals are compared with the truth's as long as
       that lasts. The baselines run without noise.
@@ -156,24 +161,6 @@ def evaluate(
     )
 
 
-def rolling_origins(
-    mask: npt.NDArray[np.bool_], count: int
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return trial and row of up to ``count`` frames of each trial to forecast from.
-
-    Frames with somebody in them, and somebody in a later one, spread evenly.
-    """
-    trials, rows = [], []
-    for trial, there in enumerate(mask):
-        usable = np.flatnonzero(there.any(axis=-1))[:-1]
-        if not usable.size:
-            continue
-        chosen = np.unique(np.linspace(0, usable.size - 1, min(count, usable.size)).round())
-        rows.append(usable[chosen.astype(np.int64)])
-        trials.append(np.full(rows[-1].size, trial))
-    return np.concatenate(trials), np.concatenate(rows)
-
-
 def _forecast_scores(
     subject: Subject,
     forecasters: Sequence[Forecaster],
@@ -221,9 +208,8 @@ def _forecast_scores(
         )
         for future in futures
     ]
-    probable, more = log_scores(subject, forecasters, trials, rows, steps, seed)
+    probable, more = _density_scores(subject, forecasters, trials, rows, steps, seed)
     notes += more
-    unknown = np.full(steps, np.nan)
     over_steps = ("method", "step")
     data = {
         "mse": ("method", [metrics.mse(truth, p, length) for p in predicted]),
@@ -231,15 +217,58 @@ def _forecast_scores(
         "squared_error": (over_steps, [e.squared_error for e in errors]),
         "forecast_mse": (over_steps, [e.mse for e in errors]),
         "forecast_mae": (over_steps, [e.mae for e in errors]),
-        "log_score": (over_steps, [probable.get(f.name, unknown) for f in forecasters]),
+        "log_score": (over_steps, probable["log_score"]),
+        "crps": (over_steps, probable["crps"]),
+        "coverage": ((*over_steps, "level"), probable["coverage"]),
         "num_scored": ("step", errors[0].num_scored),
     }
     coords = {
         "method": [f.name for f in forecasters],
         "title": ("method", [f.title for f in forecasters]),
         "step": np.arange(1, steps + 1),
+        "level": list(LEVELS),
     }
     return xr.Dataset(data, coords), used, notes
+
+
+def _density_scores(
+    subject: Subject,
+    forecasters: Sequence[Forecaster],
+    trials: npt.NDArray[np.int64],
+    rows: npt.NDArray[np.int64],
+    steps: int,
+    seed: int,
+) -> tuple[dict[str, Array], list[str]]:
+    """Return proper scores of forecast positions at each step, a row a forecaster, and notes."""
+    found = {}
+    for forecaster in forecasters:
+        scores = position_scores(
+            subject,
+            forecaster,
+            trials,
+            rows,
+            range(1, steps + 1),
+            draws=DENSITY_DRAWS,
+            seed=seed,
+            levels=LEVELS,
+            scores=("log_score", "crps", "coverage"),
+            training=subject.training,
+        )
+        if scores is not None:
+            found[forecaster.name] = scores
+    means = mean_scores(found, axes=(0, 2))
+    places = [list(found).index(f.name) if f.name in found else -1 for f in forecasters]
+    rows_of = {}
+    for name in ("log_score", "crps", "coverage"):
+        unknown = np.full((1, *means[name].shape[1:]), np.nan)
+        rows_of[name] = np.concatenate([means[name], unknown])[places]
+    notes = []
+    if subject.training is None:
+        notes.append(
+            "The spread of the baselines' forecasts is that of their errors on the scored frames "
+            "themselves: their log scores flatter them."
+        )
+    return rows_of, notes
 
 
 def _common(states: Sequence[Array]) -> list[Array]:

@@ -22,7 +22,9 @@ class Evaluation:
         Dataset over ``method`` and ``step`` (1 to the longest forecast): ``mse``, ``mae`` of one
         step, (4.2) and (4.3); ``forecast_mse``, ``forecast_mae`` and ``squared_error`` (plain mean
         over components) *at* each step, with ``num_scored (step)``; ``log_score``, nats per
-        coordinate of position, see :func:`swarmssm.analysis.log_scores.log_scores`.
+        coordinate of position, ``crps`` in the tracks' unit, and ``coverage``, over ``level``
+        too, the share of coordinates inside the central interval of that level, see
+        :func:`swarmssm.analysis.scores.backtest`.
     collective
         Dataset over ``series`` (``"truth"`` and the methods) and ``time`` from the start of a free
         run, in seconds: ``amd``, ``avd`` averaged over starts and draws, with ``low`` and ``high``
@@ -65,8 +67,11 @@ class Evaluation:
         """Name of the fitted model among the methods."""
         return str(self.settings["model"])
 
-    def score(self, name: str, method: str, step: int | None = None) -> float:
-        """Return one number: a variable of ``scores`` or ``collective``; NaN if there is none."""
+    def score(self, name: str, method: str, step: int | None = None, level: float = 0.9) -> float:
+        """Return one number: a variable of ``scores`` or ``collective``; NaN if there is none.
+
+        ``level`` is that of the interval, for ``"coverage"``.
+        """
         for dataset, dim in ((self.scores, "method"), (self.collective, "series")):
             if name in dataset and method in dataset[dim]:
                 chosen = dataset[name].sel({dim: method})
@@ -74,6 +79,8 @@ class Evaluation:
                     if step not in dataset["step"]:
                         return math.nan
                     chosen = chosen.sel(step=step)
+                if "level" in chosen.dims:
+                    chosen = chosen.sel(level=level)
                 return float(chosen)
         return math.nan
 
@@ -86,7 +93,8 @@ class Evaluation:
     def to_dict(self) -> dict[str, Any]:
         """Return scores, settings and notes for JSON; what is not known is ``None``."""
         names = ("mse", "mae", "amd_mean", "amd_error", "avd_mean", "avd_error")
-        at_steps = ("squared_error", "forecast_mse", "forecast_mae", "log_score")
+        at_steps = ("squared_error", "forecast_mse", "forecast_mae", "log_score", "crps")
+        levels = [float(level) for level in self.scores.coords.get("level", ())]
         methods = [str(name) for name in self.scores["method"].values]
         horizons = self.settings["horizons"]
         by_method = {
@@ -97,6 +105,10 @@ class Evaluation:
                     str(k): {
                         "num_scored": int(self.scores["num_scored"].sel(step=k)),
                         **{name: _plain(self.score(name, method, k)) for name in at_steps},
+                        "coverage": {
+                            f"{level:g}": _plain(self.score("coverage", method, k, level))
+                            for level in levels
+                        },
                     }
                     for k in horizons
                 },

@@ -1,5 +1,6 @@
 """What is scored: a part of tracks, with what a forecaster may know of it and what it may not."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,10 +14,10 @@ from swarmssm.inference.data import Prepared
 from swarmssm.inference.fitting import tracks_digest
 from swarmssm.kinematics import estimate_noise, smooth_positions
 from swarmssm.scaling import Scaler, fit_scaler
-from swarmssm.splits import PARTS, take
+from swarmssm.splits import PARTS, Segment, take
 from swarmssm.tracks import Array, states_of, validate_tracks, with_trials
 
-__all__ = ["Subject", "same_tracks", "subject_of"]
+__all__ = ["Subject", "default_part", "same_tracks", "subject_of"]
 
 Mask = npt.NDArray[np.bool_]
 
@@ -35,7 +36,7 @@ class Subject:
     tracks
         The scored part. With smoothed velocities, each is smoothed from the frames up to its own.
     part
-        Name of the part, or ``"all"``.
+        Name of the part, ``"all"``, or ``"chosen"`` if segments were asked for.
     inputs
         The tracks as the model sees them.
     states, adjacency, mask
@@ -92,7 +93,13 @@ def same_tracks(fit: Fit, tracks: xr.Dataset) -> bool:
     return bool(data.get("sha256") == tracks_digest(tracks))
 
 
-def subject_of(fit: Fit, tracks: xr.Dataset, part: str | None = None) -> Subject:
+def subject_of(
+    fit: Fit,
+    tracks: xr.Dataset,
+    part: str | None = None,
+    *,
+    segments: Sequence[Segment] | None = None,
+) -> Subject:
     """Take the part to score, and make sure that no frame of it knows of a later one.
 
     Parameters
@@ -105,6 +112,8 @@ def subject_of(fit: Fit, tracks: xr.Dataset, part: str | None = None) -> Subject
         ``"train"``, ``"validation"``, ``"test"`` or ``"all"``. Absent: the test part of the
         tracks the model was fitted on (without one, the validation part, else everything), and
         all of any others.
+    segments
+        Frames to score in place of a part.
 
     Raises
     ------
@@ -113,29 +122,14 @@ def subject_of(fit: Fit, tracks: xr.Dataset, part: str | None = None) -> Subject
     """
     tracks = validate_tracks(tracks)
     own = same_tracks(fit, tracks)
-    notes = []
-    if part is None:
-        part = next((p for p in ("test", "validation") if fit.split.part(p)), "all")
-        if not own:
-            part = "all"
-            notes.append(
-                "These are not the tracks that the model was fitted on: all frames are scored."
-            )
-        elif part != "test":
-            notes.append(f"The fit has no test part: {_words(part)} is scored.")
-    elif part not in (*PARTS, "all"):
-        raise InputError(f"part: {part!r} is unknown; choose one of {', '.join(PARTS)} or all.")
-    elif part != "all" and not own:
-        raise InputError(
-            f"part: these are not the tracks that the model was fitted on, and have no {part} "
-            "part of its. Score all of them."
-        )
-    if own and part in ("train", "all"):
-        notes.append("The scored frames include those that the model was trained on.")
-    if own and part == "validation":
-        notes.append("The weights were chosen by the validation part: scores on it flatter.")
+    notes: list[str] = []
+    if segments is None:
+        part, notes = _part_to_score(fit, part, own=own)
+        scored = with_trials(tracks) if part == "all" else fit.part(tracks, part)
+    else:
+        part = "chosen"
+        scored = take(tracks, segments)
     training = take(tracks, fit.split.train) if own else None
-    scored = with_trials(tracks) if part == "all" else fit.part(tracks, part)
     truth = fit.prepare(scored)
     known = truth.known.numpy()
     if not (known[:, 1:] & known[:, :-1]).any():
@@ -173,6 +167,36 @@ def subject_of(fit: Fit, tracks: xr.Dataset, part: str | None = None) -> Subject
         length,
         tuple(notes),
     )
+
+
+def _part_to_score(fit: Fit, part: str | None, *, own: bool) -> tuple[str, list[str]]:
+    """Return the name of the part to score, and what a reader has to know of it."""
+    notes = []
+    if part is None:
+        part = default_part(fit) if own else "all"
+        if not own:
+            notes.append(
+                "These are not the tracks that the model was fitted on: all frames are scored."
+            )
+        elif part != "test":
+            notes.append(f"The fit has no test part: {_words(part)} is scored.")
+    elif part not in (*PARTS, "all"):
+        raise InputError(f"part: {part!r} is unknown; choose one of {', '.join(PARTS)} or all.")
+    elif part != "all" and not own:
+        raise InputError(
+            f"part: these are not the tracks that the model was fitted on, and have no {part} "
+            "part of its. Score all of them."
+        )
+    if own and part in ("train", "all"):
+        notes.append("The scored frames include those that the model was trained on.")
+    if own and part == "validation":
+        notes.append("The weights were chosen by the validation part: scores on it flatter.")
+    return part, notes
+
+
+def default_part(fit: Fit) -> str:
+    """Return the part of a fit's own tracks that says most of what it has not seen."""
+    return next((part for part in ("test", "validation") if fit.split.part(part)), "all")
 
 
 def _words(part: str) -> str:

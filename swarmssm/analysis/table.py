@@ -108,7 +108,8 @@ def horizon_table(evaluation: Evaluation, score: str = "squared_error") -> list[
     score
         ``"squared_error"``: plain mean over components of the squared error of scaled states;
         ``"forecast_mse"``, ``"forecast_mae"``: (4.2), (4.3) at that step; ``"log_score"``: nats
-        per coordinate of position, higher is better.
+        per coordinate of position, higher is better; ``"crps"``, in the tracks' unit;
+        ``"coverage"``: share of coordinates inside the 90 % interval.
     """
     return [
         {"method": title}

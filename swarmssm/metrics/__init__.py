@@ -2,6 +2,7 @@
 
 - :mod:`swarmssm.metrics.prediction`: errors of predicted states, equations (4.1) to (4.3).
 - :mod:`swarmssm.metrics.log_score`: how probable a normal forecast made what came.
+- :mod:`swarmssm.metrics.probabilistic`: CRPS, energy score and intervals of a forecast.
 - :mod:`swarmssm.metrics.collective`: cohesion, alignment and order of a group, (4.4) and (4.5).
 - :mod:`swarmssm.metrics.edges`: a predicted interaction graph against the true one.
 """
@@ -17,6 +18,14 @@ from swarmssm.metrics.collective import (
 from swarmssm.metrics.edges import edge_accuracy, edge_auc, edge_precision, edge_recall
 from swarmssm.metrics.log_score import gaussian_log_score, mixture_log_score, moments_of_draws
 from swarmssm.metrics.prediction import HorizonErrors, horizon_errors, mae, mse, step_length
+from swarmssm.metrics.probabilistic import (
+    ensemble_crps,
+    ensemble_energy_score,
+    ensemble_intervals,
+    gaussian_crps,
+    gaussian_energy_score,
+    gaussian_intervals,
+)
 
 __all__ = [
     "HorizonErrors",
@@ -26,6 +35,12 @@ __all__ = [
     "edge_auc",
     "edge_precision",
     "edge_recall",
+    "ensemble_crps",
+    "ensemble_energy_score",
+    "ensemble_intervals",
+    "gaussian_crps",
+    "gaussian_energy_score",
+    "gaussian_intervals",
     "gaussian_log_score",
     "horizon_errors",
     "mae",

@@ -37,6 +37,7 @@ from swarmssm.analysis.plots.latents import (
 from swarmssm.analysis.plots.model_graph import plot_model
 from swarmssm.analysis.plots.presence import plot_presence
 from swarmssm.analysis.plots.recovery import plot_recovery
+from swarmssm.analysis.plots.scores import plot_forecast_coverage, plot_scores
 from swarmssm.analysis.plots.tracks import plot_tracks
 from swarmssm.analysis.plots.trajectories import (
     plot_imitation,
@@ -58,6 +59,7 @@ __all__ = [
     "plot_force_maps",
     "plot_force_shares",
     "plot_forecast",
+    "plot_forecast_coverage",
     "plot_forecast_over_time",
     "plot_gathered_shares",
     "plot_graphs",
@@ -78,6 +80,7 @@ __all__ = [
     "plot_rank_histograms",
     "plot_recovery",
     "plot_rotated_axes",
+    "plot_scores",
     "plot_snapshots",
     "plot_sources",
     "plot_tracks",

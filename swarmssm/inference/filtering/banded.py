@@ -144,7 +144,9 @@ def factorize(band: Band) -> Factor:
                 second = linear[k + 2] - taken[:, size:, -1:]
     except torch.linalg.LinAlgError as error:  # type: ignore[attr-defined]
         raise WorkError(
-            "The precision of the paths is not positive definite. Parameters are out of bounds."
+            "The precision of the paths is not positive definite: at some parameters the motion "
+            "has next to no noise, as noise in proportion to speed has where somebody rests. Take "
+            "noise=additive, or priors that keep to larger noise."
         ) from error
     return Factor(torch.stack(lowers), torch.stack(whitened))
 

@@ -1,8 +1,9 @@
 """Kalman filter and smoother of the joint state of a swarm."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -26,6 +27,7 @@ __all__ = [
     "filter_with",
     "gains_of",
     "kalman",
+    "last_filtered",
     "smooth",
 ]
 
@@ -95,6 +97,10 @@ class Smoothed:
         return own_blocks(self.covariance, self.mean.shape[-2])
 
 
+#: From frame, mean ``(batch, joint)`` and covariance to the affine map there.
+Source = Callable[[int, Tensor, Tensor], AffineMap]
+
+
 def extended_kalman(
     model: StateSpaceModel, batch: SwarmBatch, values: Mapping[str, Tensor]
 ) -> Filtered:
@@ -142,18 +148,46 @@ def filter_with(
         predicted ones.
     """
     with model.fixed(values):
-        window = Window.of(model, batch)
+        return _run(*_sources(model, batch, linearizer))
 
-        def step(time: int, mean: Tensor, covariance: Tensor) -> AffineMap:
-            states = window.split(mean)
-            line = linearizer.step(model, states, covariance, window.inputs.at(time))
-            return window.settle_step(line, time)
 
-        def observe(time: int, mean: Tensor, covariance: Tensor) -> AffineMap:
-            line = linearizer.observe(model, window.split(mean), covariance)
-            return window.settle_observation(line, window.seen[..., time, :])
+def last_filtered(
+    model: StateSpaceModel, batch: SwarmBatch, values: Mapping[str, Tensor]
+) -> tuple[Tensor, Tensor]:
+    """Return what :func:`extended_kalman` ends with, and keep nothing of the way there.
 
-        return _run(window, step, observe)
+    Parameters
+    ----------
+    model, batch, values
+        As in :func:`extended_kalman`.
+
+    Returns
+    -------
+    Mean ``(batch, individual, state)`` and covariance ``(batch, joint, joint)`` of the last frame.
+    """
+    with model.fixed(values):
+        window, step, observe = _sources(model, batch, Taylor())
+        *_, last = _through(window, step, observe)
+        mean, covariance = last.filtered
+        return window.split(mean), covariance
+
+
+def _sources(
+    model: StateSpaceModel, batch: SwarmBatch, linearizer: Linearizer
+) -> tuple[Window, Source, Source]:
+    """Return what a filter asks at each frame of a model whose parameters are fixed."""
+    window = Window.of(model, batch)
+
+    def step(time: int, mean: Tensor, covariance: Tensor) -> AffineMap:
+        states = window.split(mean)
+        line = linearizer.step(model, states, covariance, window.inputs.at(time))
+        return window.settle_step(line, time)
+
+    def observe(time: int, mean: Tensor, covariance: Tensor) -> AffineMap:
+        line = linearizer.observe(model, window.split(mean), covariance)
+        return window.settle_observation(line, window.seen[..., time, :])
+
+    return window, step, observe
 
 
 def kalman(system: AffineSwarm) -> Filtered:
@@ -166,44 +200,52 @@ def kalman(system: AffineSwarm) -> Filtered:
     )
 
 
-#: From frame, mean ``(batch, joint)`` and covariance to the affine map there.
-Source = Callable[[int, Tensor, Tensor], AffineMap]
-
-
 def _run(
     window: Window, step: Source, observe: Source, system: AffineSwarm | None = None
 ) -> Filtered:
     """Predict and update, frame by frame."""
+    frames = list(_through(window, step, observe))
+    if system is None:
+        steps = [frame.step for frame in frames if frame.step is not None]
+        row = _stack(steps) if steps else no_steps(window.initial_mean)
+        system = AffineSwarm(window, row, _stack([frame.observation for frame in frames]))
+    return Filtered(
+        window.split(torch.stack([frame.predicted[0] for frame in frames], -2)),
+        torch.stack([frame.predicted[1] for frame in frames], -3),
+        window.split(torch.stack([frame.filtered[0] for frame in frames], -2)),
+        torch.stack([frame.filtered[1] for frame in frames], -3),
+        torch.stack([frame.increment for frame in frames], -1),
+        system,
+    )
+
+
+class _Frame(NamedTuple):
+    """One frame of a filter: means and covariances, the maps used, and the evidence it adds."""
+
+    predicted: tuple[Tensor, Tensor]
+    filtered: tuple[Tensor, Tensor]
+    increment: Tensor
+    step: AffineMap | None
+    observation: AffineMap
+
+
+def _through(window: Window, step: Source, observe: Source) -> Iterator[_Frame]:
+    """Predict and update, frame by frame."""
     there = window.there[..., 0, :]
     mean = torch.where(there, window.initial_mean, 0.0)
     covariance = window.initial_covariance * (there.unsqueeze(-1) & there.unsqueeze(-2))
-    predicted, filtered, increments = [], [], []
-    steps, observations = [], []
     for time in range(window.num_times):
+        moved = None
         if time:
-            map_ = step(time - 1, mean, covariance)
-            steps.append(map_)
-            mean = map_(mean)
-            covariance = symmetrize(map_.jacobian @ covariance @ map_.jacobian.mT + map_.noise)
-        predicted.append((mean, covariance))
-        map_ = observe(time, mean, covariance)
-        observations.append(map_)
+            moved = step(time - 1, mean, covariance)
+            mean = moved(mean)
+            covariance = symmetrize(moved.jacobian @ covariance @ moved.jacobian.mT + moved.noise)
+        predicted = mean, covariance
+        shown = observe(time, mean, covariance)
         seen = window.seen[..., time, :]
-        innovation = torch.where(seen, window.values[..., time, :] - map_(mean), 0.0)
-        mean, covariance, increment = _update(mean, covariance, map_, innovation, seen, time)
-        filtered.append((mean, covariance))
-        increments.append(increment)
-    if system is None:
-        row = _stack(steps) if steps else no_steps(window.initial_mean)
-        system = AffineSwarm(window, row, _stack(observations))
-    return Filtered(
-        window.split(torch.stack([m for m, _ in predicted], -2)),
-        torch.stack([c for _, c in predicted], -3),
-        window.split(torch.stack([m for m, _ in filtered], -2)),
-        torch.stack([c for _, c in filtered], -3),
-        torch.stack(increments, -1),
-        system,
-    )
+        innovation = torch.where(seen, window.values[..., time, :] - shown(mean), 0.0)
+        mean, covariance, increment = _update(mean, covariance, shown, innovation, seen, time)
+        yield _Frame(predicted, (mean, covariance), increment, moved, shown)
 
 
 def _update(

@@ -160,6 +160,22 @@ class PathGuide(SwarmGuide):
         states, _ = self.path(many, values)
         return torch.unflatten(states[:, -1], 0, (draws, len(batch)))
 
+    def last_states(
+        self, batch: SwarmBatch, values: Sequence[Mapping[str, torch.Tensor]]
+    ) -> torch.Tensor:
+        """Draw the last state of each window once with each of some draws of the parameters.
+
+        Parameters
+        ----------
+        batch, values
+            As in :meth:`paths`.
+
+        Returns
+        -------
+        ``(draw, batch, individual, state)``.
+        """
+        return torch.stack([self.last_state(batch, drawn, 1)[0] for drawn in values])
+
     def mean_path(self, batch: SwarmBatch, values: Mapping[str, torch.Tensor]) -> torch.Tensor:
         """Return the mean of the path of each window, ``(batch, time, individual, state)``.
 

@@ -4,10 +4,17 @@ from collections.abc import Mapping, Sequence
 from typing import ClassVar, Literal, get_args
 
 import torch
+from torch.func import vmap
 
-from swarmssm.errors import InputError
+from swarmssm.errors import InputError, WorkError
 from swarmssm.inference.filtering.evidence import ITERATIONS, linearization_points
-from swarmssm.inference.filtering.kalman import Filtered, extended_kalman, kalman, smooth
+from swarmssm.inference.filtering.kalman import (
+    Filtered,
+    extended_kalman,
+    kalman,
+    last_filtered,
+    smooth,
+)
 from swarmssm.inference.filtering.layouts import JOINT_LIMIT, Frames, Layout, Points, frames_of
 from swarmssm.inference.filtering.matrices import root
 from swarmssm.inference.filtering.paths import draw_paths, path_log_density
@@ -18,6 +25,8 @@ __all__ = ["Globals", "LinearizedGuide"]
 
 #: Frames after which the beginning of a window is mostly forgotten.
 GIVEN = 15
+#: Numbers of the covariances of one chunk of draws: small enough to stay near the processor.
+CHUNK = 400_000
 #: How the parameters with a prior are fitted.
 Globals = Literal["laplace", "multivariate", "normal"]
 
@@ -125,13 +134,34 @@ class LinearizedGuide(PathGuide):
         """
         if batch.num_individuals > JOINT_LIMIT or self.layout == "blocks":
             return super().last_state(batch, values, draws)
-        filtered = extended_kalman(self.model, batch, values)
-        mean = filtered.mean[:, -1]
-        if not draws:
-            return mean
-        factor = root(filtered.covariance[:, -1])
-        noise = mean.new_empty(draws, *factor.shape[:-1]).normal_()
-        return mean + (factor @ noise.unsqueeze(-1)).reshape(draws, *mean.shape)
+        mean, covariance = last_filtered(self.model, batch, values)
+        return mean if not draws else _about(mean, covariance, draws)
+
+    def last_states(
+        self, batch: SwarmBatch, values: Sequence[Mapping[str, torch.Tensor]]
+    ) -> torch.Tensor:
+        """Draw the last state of each window with each of some draws of the parameters.
+
+        See :meth:`PathGuide.last_states`; one filter goes through the windows for many draws.
+        """
+        large = batch.num_individuals > JOINT_LIMIT or self.layout == "blocks"
+        if large or not all(values):
+            return super().last_states(batch, values)
+        stacked = {name: torch.stack([drawn[name] for drawn in values]) for name in values[0]}
+
+        def ends(own: dict[str, torch.Tensor]) -> tuple[torch.Tensor, torch.Tensor]:
+            return last_filtered(self.model, batch, own)
+
+        each = len(batch) * (batch.num_individuals * self.model.state_dim) ** 2
+        try:
+            mean, covariance = vmap(ends, chunk_size=max(1, CHUNK // each))(stacked)
+        except WorkError:
+            raise
+        except RuntimeError:
+            # A transition or edges whose course depends on numbers, which vmap cannot follow.
+            return super().last_states(batch, values)
+        drawn = [_about(m, c, 1)[0] for m, c in zip(mean, covariance, strict=True)]
+        return torch.stack(drawn)
 
     def filtered_mean(
         self, batch: SwarmBatch, values: Mapping[str, torch.Tensor]
@@ -162,6 +192,13 @@ class LinearizedGuide(PathGuide):
         with self.model.fixed(values):
             frames = frames_of(self.model, batch, self.layout)
             return frames, kalman(frames.system(points))
+
+
+def _about(mean: torch.Tensor, covariance: torch.Tensor, draws: int) -> torch.Tensor:
+    """Draw states ``(draw, batch, individual, state)`` about a mean."""
+    factor = root(covariance)
+    noise = mean.new_empty(draws, *factor.shape[:-1]).normal_()
+    return mean + (factor @ noise.unsqueeze(-1)).reshape(draws, *mean.shape)
 
 
 def _check(model: StateSpaceModel) -> None:

@@ -285,8 +285,7 @@ class StateSpacePredictor(Predictor):
             if not (draws and named):
                 return self.guide.last_state(batch, self._middle(), draws), None
             parameters = tuple(self.guide.parameters_guide() for _ in range(draws))
-            drawn = [self.guide.last_state(batch, values, 1)[0] for values in parameters]
-        return torch.stack(drawn), parameters
+            return self.guide.last_states(batch, parameters), parameters
 
     def _draw_parameters(self, draws: int) -> tuple[Values, ...] | None:
         """Draw the parameters alone, where states are known."""

@@ -1,4 +1,4 @@
-"""Log scores of forecasts: of draws, of baselines with the spread of their errors, of the truth."""
+"""How far off baselines are, and what of it comes out in an evaluation."""
 
 import math
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from swarmssm.analysis import evaluate
-from swarmssm.analysis.log_scores import baseline_covariances
+from swarmssm.analysis.scores.baseline_errors import baseline_covariances
 from swarmssm.models.baselines import ConstantVelocity, StayPut
 
 
