@@ -235,3 +235,18 @@ def test_gains_walls_and_limits_are_found_from_noisy_positions():
     assert all((part < 3.5).all() for part in off.values()), off
     gains = [names.index(f"transition.{name}") for name in ("cohesion_gain", "separation_gain")]
     assert (error[gains] < 0.1).all()
+
+
+@pytest.mark.parametrize(
+    ("slow", "noise", "form", "wanted"),
+    [
+        (0.5, 0.0, "acceleration", "multiplicative"),
+        (0.05, 0.0, "acceleration", "additive"),
+        # So much tracking noise hides who rests.
+        (0.05, 1.0, "acceleration", "multiplicative"),
+        (0.5, 0.0, "velocity", "additive"),
+    ],
+)
+def test_noise_in_proportion_to_speed_is_for_who_never_rests(slow, noise, form, wanted):
+    scales = dataclasses.replace(SCALES, slow=slow, speed=1.0, noise=noise)
+    assert boids(scales, form=form).transition.noise == wanted

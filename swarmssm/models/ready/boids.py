@@ -1,5 +1,6 @@
 """Boids with unknown gains, seen with noise: ``swarmssm fit FILE --model boids``."""
 
+import math
 from collections.abc import Mapping
 from typing import Any, Literal, get_args
 
@@ -26,6 +27,9 @@ from swarmssm.models.transitions.social import Form, Noise
 __all__ = ["boids"]
 
 Gains = Literal["global", "individual", "hierarchical"]
+#: Slower than this share of the typical speed somebody rests: in proportion to that speed there
+#: would be no noise, and no way to start again.
+RESTS = 0.25
 
 
 def boids(
@@ -77,8 +81,9 @@ def boids(
     scales
         Of the training tracks.
     form, noise
-        See :class:`~swarmssm.models.transitions.BoidsTransition`; ``noise`` is multiplicative
-        for accelerations and additive for velocities unless it is given.
+        See :class:`~swarmssm.models.transitions.BoidsTransition`; unless it is given, ``noise`` is
+        additive for velocities, and for accelerations where somebody rests (the 2nd percentile of
+        speed is below a quarter of the typical speed), else multiplicative.
     gains
         Of cohesion, separation and alignment: ``"global"``, one for all; ``"individual"``, each
         its own, with the prior above; ``"hierarchical"``, each its own, from a population whose
@@ -115,7 +120,7 @@ def boids(
     check_choice("observed", observed, get_args(Observed))
     view = view_priors(scales, radius)
     if noise is None:
-        noise = "multiplicative" if form == "acceleration" else "additive"
+        noise = "multiplicative" if form == "acceleration" and not _rests(scales) else "additive"
     length, speed = positive(scales.length), true_speed(scales)
     rate = speed / length
     # What a force is, a change of velocity in unit time or the velocity itself.
@@ -157,3 +162,9 @@ def boids(
         infer_radius=radius == "infer",
         priors=priors,
     )
+
+
+def _rests(scales: Scales) -> bool:
+    """Return whether somebody rests, as far as tracking noise lets it be seen."""
+    slow = RESTS * scales.speed
+    return scales.slow < slow and math.sqrt(2.0) * scales.noise / scales.dt < slow
