@@ -7,6 +7,8 @@ which is meant.
 from swarmssm.analysis.analyze import analyze
 from swarmssm.analysis.analyzed import Analysis
 from swarmssm.analysis.calibration import simulation_based_calibration
+from swarmssm.analysis.checks import STATISTICS, Statistic, Swarm, check, loo_pit, one_step_pit
+from swarmssm.analysis.checks import sentence as check_sentence
 from swarmssm.analysis.evaluate import evaluate
 from swarmssm.analysis.evaluation import Evaluation
 from swarmssm.analysis.findings import Finding, findings, findings_table
@@ -47,16 +49,21 @@ from swarmssm.analysis.table import edge_table, format_number, horizon_table, sc
 from swarmssm.analysis.thesis import FOOTNOTE as THESIS_FOOTNOTE
 
 __all__ = [
+    "STATISTICS",
     "THESIS_FOOTNOTE",
     "Analysis",
     "Evaluation",
     "Finding",
     "Motion",
     "PosteriorPaths",
+    "Statistic",
+    "Swarm",
     "analysis_page",
     "analyze",
     "backtest",
     "build_report",
+    "check",
+    "check_sentence",
     "edge_table",
     "evaluate",
     "find_leader",
@@ -77,7 +84,9 @@ __all__ = [
     "kernel_agreement",
     "latent_force_alignment",
     "leadership_delays",
+    "loo_pit",
     "motion_of",
+    "one_step_pit",
     "paired_difference",
     "posterior_forces",
     "posterior_paths",

@@ -5,12 +5,6 @@ import json
 import pytest
 import xarray as xr
 
-from swarmssm.cli.app import app
-from swarmssm.cli.checking import check
-
-if "check" not in {command.name for command in app.registered_commands}:
-    app.command("check")(check)
-
 QUICK = ("--draws", 10, "--steps", 5)
 
 

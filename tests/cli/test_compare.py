@@ -3,20 +3,17 @@
 import json
 
 import pytest
-import typer
 
 from swarmssm import inference, io
-from swarmssm.cli import app as module
+from swarmssm.cli.app import app
 from swarmssm.cli.comparing import compare
 
 
 @pytest.fixture(autouse=True)
 def registered():
     """The command, where the application does not have it yet."""
-    names = {command.name for command in module.app.registered_commands}
-    if "compare" not in names:
-        module.app.command("compare")(compare)
-    assert isinstance(module.app, typer.Typer)
+    if "compare" not in {command.name for command in app.registered_commands}:
+        app.command("compare")(compare)
 
 
 @pytest.fixture(scope="module")

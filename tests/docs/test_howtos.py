@@ -15,7 +15,12 @@ DOCS = Path(__file__).resolve().parents[2] / "docs"
 #: How-to -> lines of a user's own code that it may take, blank ones not counted.
 LINES = {"another-prior": 5, "another-transition": 15, "another-guide": 20}
 #: How-tos that take no code in a file of one's own.
-WITHOUT = ("what-do-my-latents-mean", "which-rule-do-my-fish-follow")
+WITHOUT = (
+    "what-do-my-latents-mean",
+    "which-rule-do-my-fish-follow",
+    "checking-a-fitted-swarm",
+    "comparing-models",
+)
 #: Pages without anything to run: what was found in recordings that are not part of the package.
 REPORTS = ("which-rule-each-species-follows",)
 #: What stands in a how-to -> less of it, for a quick look at whether it runs at all.
@@ -29,6 +34,13 @@ LESS = {
         "epochs=20": "epochs=2",
         "shifts=39": "shifts=9",
         '"shifts": 39': '"shifts": 9',
+    },
+    "checking-a-fitted-swarm": {
+        "load_sunbleak(6)": "load_sunbleak(4).isel(time=slice(0, 60))",
+        "--draws 100": "--draws 10",
+        "draws=40": "draws=10",
+        "--draws 40": "--draws 10",
+        "draws=20, origins=30": "draws=10, origins=5",
     },
     "which-rule-do-my-fish-follow": {
         "slice(0, 100)": "slice(0, 40)",

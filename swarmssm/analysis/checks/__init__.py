@@ -2,11 +2,13 @@
 
 - :func:`check`: compare a recording with replicates by a list of statistics, ready-made or own.
 - :func:`sentence`: what a check found, in plain words.
-- :func:`one_step_pit`: where each sighting falls in its one-step forecast.
+- :func:`one_step_pit`: where each sighting falls in its one-step forecast; :func:`loo_pit`, of
+  frames that trained the model.
 """
 
 from swarmssm.analysis.checks.arenas import arena_of
 from swarmssm.analysis.checks.comparison import check
+from swarmssm.analysis.checks.loo_pit import loo_pit
 from swarmssm.analysis.checks.observables import Axis
 from swarmssm.analysis.checks.pit import one_step_pit, pit_sentence
 from swarmssm.analysis.checks.statistics import STATISTICS, Statistic
@@ -21,6 +23,7 @@ __all__ = [
     "Swarm",
     "arena_of",
     "check",
+    "loo_pit",
     "one_step_pit",
     "pit_sentence",
     "sentence",

@@ -22,7 +22,7 @@ from swarmssm.errors import InputError
 from swarmssm.inference import Fit
 from swarmssm.tracks import Array
 
-__all__ = ["mixture_pit", "one_step_pit", "pit_sentence"]
+__all__ = ["mixture_pit", "one_step_pit", "pit_sentence", "ranks_of"]
 
 #: Ranks that a PIT is sorted into.
 RANKS = 99
@@ -90,7 +90,7 @@ def one_step_pit(
     )
     names = [str(name) for name in subject.tracks["space"].values]
     # Each coordinate has as many as the others: a sighting is one of all of them.
-    ranks = {name: _ranks(pit[..., axis]) for axis, name in enumerate(names)}
+    ranks = {name: ranks_of(pit[..., axis]) for axis, name in enumerate(names)}
     found = calibration_of_ranks(ranks, RANKS)
     found["pit"] = (
         ("origin", "individual", "space"),
@@ -171,7 +171,7 @@ def _pit(
     return np.where(known, pit, np.nan)
 
 
-def _ranks(pit: Array) -> npt.NDArray[np.int64]:
+def ranks_of(pit: Array) -> npt.NDArray[np.int64]:
     """Return in which of equal bins each known PIT is."""
     known = pit[np.isfinite(pit)]
     bins: npt.NDArray[np.int64] = np.floor(known * (RANKS + 1)).astype(np.int64)
@@ -194,7 +194,7 @@ def pit_sentence(pit: xr.Dataset) -> str:
     wrong = []
     if abs(coverage - 0.9) > NEARLY:
         wrong.append("too narrow" if coverage < 0.9 else "too wide")
-    middle = pit["pit"].mean(["origin", "individual"])
+    middle = pit["pit"].mean([dim for dim in pit["pit"].dims if dim != "space"])
     for name in middle["space"].to_numpy():
         place = float(middle.sel(space=name))
         if abs(place - 0.5) > NEARLY:

@@ -11,6 +11,13 @@ from swarmssm.analysis.plots.calibration import (
     plot_ecdf_difference,
     plot_rank_histograms,
 )
+from swarmssm.analysis.plots.checks import (
+    plot_check_overview,
+    plot_order_parameters,
+    plot_pit,
+    plot_statistic,
+    plot_statistics,
+)
 from swarmssm.analysis.plots.curves import plot_collective, plot_horizon_errors, plot_training
 from swarmssm.analysis.plots.forces import (
     plot_force_arrows,
@@ -49,6 +56,7 @@ from swarmssm.analysis.plots.trajectories import (
 __all__ = [
     "animate",
     "plot_calibration",
+    "plot_check_overview",
     "plot_collective",
     "plot_coverage",
     "plot_ecdf_difference",
@@ -75,6 +83,8 @@ __all__ = [
     "plot_log_scores",
     "plot_model",
     "plot_modulation",
+    "plot_order_parameters",
+    "plot_pit",
     "plot_presence",
     "plot_random_starts",
     "plot_rank_histograms",
@@ -83,6 +93,8 @@ __all__ = [
     "plot_scores",
     "plot_snapshots",
     "plot_sources",
+    "plot_statistic",
+    "plot_statistics",
     "plot_tracks",
     "plot_training",
     "plot_trajectories",

@@ -101,6 +101,7 @@ def full_section(
     anchor: str = "run",
     evaluation: Evaluation | None = None,
     rivals: Mapping[str, Fit] | None = None,
+    scores: xr.Dataset | None = None,
     checks: bool = True,
     forces: bool = True,
     player: bool = True,
@@ -119,6 +120,8 @@ def full_section(
         What :func:`swarmssm.analysis.evaluate` returned for them, if it is there already.
     rivals
         Other fits, by name, to be scored on the same held-out frames; absent, none.
+    scores
+        Of :func:`swarmssm.analysis.backtest` with them, if they are there already.
     checks
         Whether to check the fit by swarms simulated from it.
     forces
@@ -145,7 +148,7 @@ def full_section(
         evaluation = evaluate(fit, tracks, seed=seed, **options)
     part = str(evaluation.settings["part"])
     left_out: list[str] = []
-    found: dict[str, Any] = {}
+    found: dict[str, Any] = {"scores": scores}
 
     def ask(name: str, words: str, question: Callable[[], Any]) -> None:
         show(words)
@@ -167,7 +170,7 @@ def full_section(
             "forces and kernels",
             lambda: analyze(fit, tracks, draws=FORCE_DRAWS, part=part, seed=seed, only=FORCES),
         )
-    if rivals is not None:
+    if rivals is not None and scores is None:
         ask(
             "scores",
             "comparing with rivals",

@@ -1,0 +1,144 @@
+"""Names and units of parameters, as they stand in a container of results."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from pyro.nn import PyroModule
+
+from swarmssm.models import StateSpaceModel
+from swarmssm.models.parameters import declaration
+from swarmssm.tracks import Array
+
+__all__ = ["labelled_parameters", "short_names", "units_of"]
+
+#: Parameters whose free length is not the number of individuals.
+NOT_OF_INDIVIDUALS = ("modulation",)
+#: What a parameter is measured in, where the name says it: L stands for the unit of length.
+UNITS = {
+    "cohesion_gain": "s-2",
+    "alignment_gain": "s-1",
+    "wall_gain": "s-2",
+    "homing_gain": "s-2",
+    "damping": "s-1",
+    "relaxation_gain": "s-1",
+    "preferred_speed": "L s-1",
+    "min_speed": "L s-1",
+    "max_speed": "L s-1",
+    "half_width": "L",
+    "center": "L",
+    "home": "L",
+    "radius": "L",
+    "radius_width": "L",
+    "noise": "L",
+    "velocity_noise": "L s-1",
+    "exponent": "1",
+    "excess_degrees": "1",
+    "influence": "1",
+    "responsiveness": "1",
+    "modulation": "1",
+    "attraction": "1",
+    "repulsion": "1",
+    "alignment": "1",
+}
+
+
+def short_names(names: Sequence[str]) -> dict[str, str]:
+    """Return full name -> the last part of it where that leaves no doubt, else all of it."""
+    last = [name.rpartition(".")[2] for name in names]
+    return {
+        name: own if last.count(own) == 1 else name for name, own in zip(names, last, strict=True)
+    }
+
+
+def units_of(module: PyroModule, name: str, length: str) -> str:
+    """Return the unit of a parameter; empty where it is not known.
+
+    Parameters
+    ----------
+    module
+        The part of the model that it belongs to.
+    name
+        Its own name there.
+    length
+        Unit of length of the tracks.
+    """
+    form = getattr(module, "form", "acceleration")
+    if form == "velocity" and name in ("cohesion_gain", "alignment_gain", "wall_gain"):
+        return "1" if name == "alignment_gain" else "s-1"
+    if name == "process_noise":
+        multiplicative = getattr(module, "noise", "additive") == "multiplicative"
+        return "1" if multiplicative else f"{length or 'L'} s-3/2"
+    unit = UNITS.get(name, "")
+    return unit.replace("L", length) if length else unit
+
+
+def labelled_parameters(
+    model: StateSpaceModel,
+    values: Mapping[str, Array],
+    individuals: Sequence[str],
+    space: Sequence[str],
+    length: str,
+) -> xr.Dataset:
+    """Give draws of parameters dimensions, coordinates, units and full names.
+
+    Parameters
+    ----------
+    model
+        Whose they are.
+    values
+        ``(draw, ...)`` by full name.
+    individuals, space
+        Labels of the tracks.
+    length
+        Unit of length of the tracks.
+
+    Returns
+    -------
+    Dataset over ``chain`` (one) and ``draw``; a parameter with a value for each individual has the
+    dimension ``individual`` (pairs: ``neighbor`` too), for each axis ``space``, and others such as
+    ``attraction_dim_0``.
+    """
+    short = short_names(list(values))
+    data: dict[str, Any] = {}
+    coords: dict[str, Any] = {"chain": [0]}
+    for full, value in values.items():
+        place, _, own = full.rpartition(".")
+        module = model.get_submodule(place)
+        shape = value.shape[1:]
+        dims = _dims(module, own, shape, len(individuals), len(space), short[full])
+        array = np.asarray(value)[None]
+        attrs = {
+            "long_name": f"{own.replace('_', ' ')} ({full})",
+            "full_name": full,
+            "units": units_of(module, own, length),
+        }
+        data[short[full]] = (("chain", "draw", *dims), array, attrs)
+        coords["draw"] = np.arange(len(value))
+        for dim, labels in (("individual", individuals), ("neighbor", individuals)):
+            if dim in dims:
+                coords[dim] = list(labels)
+        if "space" in dims:
+            coords["space"] = list(space)
+    return xr.Dataset(data, coords)
+
+
+def _dims(
+    module: PyroModule,
+    name: str,
+    shape: tuple[int, ...],
+    individuals: int,
+    space: int,
+    label: str,
+) -> tuple[str, ...]:
+    """Return the names of a parameter's own dimensions."""
+    allowed = declaration(module, name).shapes or ()
+    if shape == (space,) and (space,) in allowed:
+        return ("space",)
+    of_individuals = name not in NOT_OF_INDIVIDUALS
+    if of_individuals and shape == (individuals,) and (-1,) in allowed:
+        return ("individual",)
+    if of_individuals and shape == (individuals,) * 2 and (-1, -1) in allowed:
+        return ("individual", "neighbor")
+    return tuple(f"{label}_dim_{k}" for k in range(len(shape)))
