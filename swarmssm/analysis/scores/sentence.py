@@ -76,9 +76,9 @@ def _against_rival(scores: xr.Dataset, best: str) -> str:
         return "It is better than constant velocity at each horizon, and not by chance. "
     parts = []
     if better:
-        parts.append(f"better than constant velocity at {_listed(better)} steps")
+        parts.append(f"better than constant velocity at {_at(better)}")
     if worse:
-        parts.append(f"worse than constant velocity at {_listed(worse)} steps")
+        parts.append(f"worse than constant velocity at {_at(worse)}")
     rest = [k for k in horizons if k not in better and k not in worse]
     if not parts:
         return "At no horizon does it differ from constant velocity by more than chance. "
@@ -106,6 +106,11 @@ def _covered(scores: xr.Dataset, best: str) -> str:
 def _steps(number: int) -> str:
     """Return a number of steps in words."""
     return "One step" if number == 1 else f"{number} steps"
+
+
+def _at(horizons: list[str]) -> str:
+    """Return horizons in words."""
+    return "one step" if horizons == ["1"] else f"{_listed(horizons)} steps"
 
 
 def _spoken(name: str) -> str:
