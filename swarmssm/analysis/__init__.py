@@ -9,6 +9,7 @@ from swarmssm.analysis.analyzed import Analysis
 from swarmssm.analysis.calibration import simulation_based_calibration
 from swarmssm.analysis.checks import STATISTICS, Statistic, Swarm, check, loo_pit, one_step_pit
 from swarmssm.analysis.checks import sentence as check_sentence
+from swarmssm.analysis.compare import compare, comparison_table
 from swarmssm.analysis.evaluate import evaluate
 from swarmssm.analysis.evaluation import Evaluation
 from swarmssm.analysis.findings import Finding, findings, findings_table
@@ -26,6 +27,11 @@ from swarmssm.analysis.influence import find_leader, find_loners, leadership_del
 from swarmssm.analysis.kernels import interaction_kernels, kernel_agreement, true_kernels
 from swarmssm.analysis.latents import latent_force_alignment
 from swarmssm.analysis.motion import Motion, PosteriorPaths, motion_of, posterior_paths
+from swarmssm.analysis.posterior import (
+    pointwise_log_likelihood,
+    to_inference_data,
+    window_log_likelihood,
+)
 from swarmssm.analysis.recovery import recovery_study
 from swarmssm.analysis.report import (
     analysis_page,
@@ -64,6 +70,8 @@ __all__ = [
     "build_report",
     "check",
     "check_sentence",
+    "compare",
+    "comparison_table",
     "edge_table",
     "evaluate",
     "find_leader",
@@ -88,6 +96,7 @@ __all__ = [
     "motion_of",
     "one_step_pit",
     "paired_difference",
+    "pointwise_log_likelihood",
     "posterior_forces",
     "posterior_paths",
     "raw_force_map",
@@ -101,8 +110,10 @@ __all__ = [
     "scores_table",
     "simulation_based_calibration",
     "skill",
+    "to_inference_data",
     "true_forces",
     "true_kernels",
+    "window_log_likelihood",
     "with_free_run",
     "write_report",
 ]

@@ -13,6 +13,7 @@ from swarmssm.cli.analyzing import analyze
 from swarmssm.cli.animating import animate
 from swarmssm.cli.calibrating import calibrate
 from swarmssm.cli.checking import check
+from swarmssm.cli.comparing import compare
 from swarmssm.cli.demo import demo
 from swarmssm.cli.fitting import fit
 from swarmssm.cli.gathering import gather
@@ -52,6 +53,7 @@ app.command("evaluate")(evaluate)
 app.command("forecast")(forecast)
 app.command("rollout")(rollout)
 app.command("check")(check)
+app.command("compare")(compare)
 app.command("analyze")(analyze)
 app.command("gather")(gather)
 app.command("animate")(animate)

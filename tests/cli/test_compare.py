@@ -5,15 +5,6 @@ import json
 import pytest
 
 from swarmssm import inference, io
-from swarmssm.cli.app import app
-from swarmssm.cli.comparing import compare
-
-
-@pytest.fixture(autouse=True)
-def registered():
-    """The command, where the application does not have it yet."""
-    if "compare" not in {command.name for command in app.registered_commands}:
-        app.command("compare")(compare)
 
 
 @pytest.fixture(scope="module")

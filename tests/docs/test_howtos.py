@@ -42,6 +42,15 @@ LESS = {
         "--draws 40": "--draws 10",
         "draws=20, origins=30": "draws=10, origins=5",
     },
+    "comparing-models": {
+        "slice(0, 120)": "slice(0, 80)",
+        "--model boids --model-option limits=false --model-option noise=additive": "--model linear "
+        "--model-option homing=false",
+        "--origins 16 --draws 40": "--origins 4 --draws 12",
+        "--draws 200": "--draws 100",
+        "--draws 400": "--draws 100",
+        ", draws=200": ", draws=100",
+    },
     "which-rule-do-my-fish-follow": {
         "slice(0, 100)": "slice(0, 40)",
         "range(85, 95, 2)": "range(33, 35)",

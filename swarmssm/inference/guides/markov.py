@@ -1,12 +1,13 @@
 """A guide in which each state, given the one before, is an affine Gaussian."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
 import torch
 from torch import Tensor, nn
 
 from swarmssm.graphs import EdgeList, Graph, degree, neighbor_sum
+from swarmssm.inference.guides.base import MEAN_DRAWS
 from swarmssm.inference.guides.chains import Pull
 from swarmssm.inference.guides.following import FollowingGuide
 from swarmssm.models import SwarmBatch
@@ -59,6 +60,27 @@ class MarkovGuide(FollowingGuide):
 
     def path(self, batch: SwarmBatch, values: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
         """Draw a path for each window; see :meth:`PathGuide.path`."""
+        return self._drawing(batch, values)()
+
+    def last_state(self, batch: SwarmBatch, values: Mapping[str, Tensor], draws: int) -> Tensor:
+        """Draw the state of the last frame; see :meth:`PathGuide.last_state`."""
+        if not draws:
+            return super().last_state(batch, values, draws)
+        draw = self._drawing(batch, values)
+        return torch.stack([draw()[0][:, -1] for _ in range(draws)])
+
+    def mean_path(self, batch: SwarmBatch, values: Mapping[str, Tensor]) -> Tensor:
+        """Return the mean of the path; see :meth:`PathGuide.mean_path`."""
+        draw = self._drawing(batch, values)
+        total = draw()[0]
+        for _ in range(MEAN_DRAWS - 1):
+            total = total + draw()[0]
+        return total / MEAN_DRAWS
+
+    def _drawing(
+        self, batch: SwarmBatch, values: Mapping[str, Tensor]
+    ) -> Callable[[], tuple[Tensor, Tensor]]:
+        """Return what draws paths with their density: the network is asked but once for all."""
         known = self.setting(batch, values)
         steps = self.chain.steps(known.sightings, known.law, known.start, batch.present)
         stretch = known.correction
@@ -66,8 +88,12 @@ class MarkovGuide(FollowingGuide):
         pull = None
         if self.coupling and known.graph is not None and batch.num_times > 1:
             pull = self._pull(known.graph, stretch)
-        off, density = steps.draw(stretch, free_stretch, pull)
-        return known.reference + off, density
+
+        def draw() -> tuple[Tensor, Tensor]:
+            off, density = steps.draw(stretch, free_stretch, pull)
+            return known.reference + off, density
+
+        return draw
 
     def _pull(self, graph: Graph, like: Tensor) -> Pull:
         """Return what the neighbours of a step add to the mean."""
