@@ -123,8 +123,11 @@ def report(
     ] = None,
     against: Against = None,
     checks: Annotated[
-        bool, typer.Option(help="Compare the recording with swarms simulated from the model.")
-    ] = True,
+        int,
+        typer.Option(
+            help="Swarms to simulate from the model and compare with the recording; 0 for none."
+        ),
+    ] = 100,
     forces: Annotated[bool, typer.Option(help="Say which forces act, and by which rule.")] = True,
     player: Annotated[
         bool, typer.Option(help="Let recording and a free run be played side by side.")

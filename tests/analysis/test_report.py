@@ -25,7 +25,7 @@ from swarmssm.inference import Fit
 
 VOID = {"area", "br", "col", "hr", "img", "input", "link", "meta", "source", "wbr"}
 FEW = {"horizons": (1, 5), "free_run_steps": 10, "draws": 2, "starts": 2, "origins": 10}
-BRIEF = {"checks": False, "forces": False, "player": False}
+BRIEF = {"checks": 0, "forces": False, "player": False}
 EVIL = "<script>alert('&')</script>\"'><img src=x>$\\frac"
 
 
@@ -286,13 +286,14 @@ def test_mistakes_are_told(tmp_path, quick_fit, boids, planted):
 
 def test_a_whole_report_has_checks_forces_comparison_and_a_player(tmp_path, boids, monkeypatch):
     """Of a model of forces; with few draws."""
-    for name, value in (("CHECK_DRAWS", 12), ("FORCE_DRAWS", 2), ("PLAYED", 10)):
+    for name, value in (("FORCE_DRAWS", 2), ("PLAYED", 10)):
         monkeypatch.setattr(build, name, value)
     fit = inference.fit("boids", "auto", boids, model_options={"limits": False})
     rival = inference.fit("graph-vae", "encoder", boids, epochs=1)
     told = []
     path = tmp_path / "whole.html"
-    report_run(fit, boids, path, rivals={"vae": rival}, progress=told.append, **FEW)
+    options = {"checks": 12, "progress": told.append, **FEW}
+    report_run(fit, boids, path, rivals={"vae": rival}, **options)
     text = path.read_text(encoding="utf-8")
     page = Page(text)
     check_headings(page)

@@ -31,7 +31,7 @@ from swarmssm.graphs import GraphRule
 from swarmssm.inference.guides.parameters import GlobalGuide
 from swarmssm.models import ObservedEdges, Scales, StateSpaceModel, find_model
 from swarmssm.models.parameters import priors_of
-from swarmssm.tracks import MAX_COORDINATE, make_tracks
+from swarmssm.tracks import MAX_COORDINATE, Array, make_tracks
 
 __all__ = ["recovery_study"]
 
@@ -217,7 +217,7 @@ def recovery_study(
         Of each data set; the last ones the ends of the central 90 % interval. NaN where it failed.
     ``error (setting, parameter)``, ``bias``
         Median over data sets of the relative error's size, and mean of the deviation from the
-        truth relative to the truth's size.
+        truth relative to the truth's size (of the middle of a box, to half its width).
     ``width (setting, parameter)``
         Median of half the 90 % interval, relative to the truth.
     ``coverage``, ``coverage_low``, ``coverage_high``
@@ -379,8 +379,7 @@ def _gather(
                 numbers[index // datasets, :, index % datasets] = [row[part][n] for n in names]
     there = np.isfinite(table["truth"])
     number = there.sum(-1)
-    # Of a truth of 0, such as the middle of a box, there is no relative error.
-    size = np.where(table["truth"] == 0.0, np.nan, np.abs(table["truth"]))
+    size = _sizes(names, table["truth"])
     relative = (table["median"] - table["truth"]) / size
     hits = ((table["low"] <= table["truth"]) & (table["truth"] <= table["high"])).sum(-1)
     frames = np.array([own.frames for own in settings])[:, None]
@@ -448,3 +447,17 @@ def _mean(values: Any) -> Any:
     """Return the mean over data sets, NaN where all failed."""
     empty = ~np.isfinite(values).any(-1)
     return np.where(empty, np.nan, np.nanmean(np.where(empty[..., None], 0.0, values), -1))
+
+
+def _sizes(names: list[str], truth: Array) -> Array:
+    """Return what errors are relative to, ``(setting, parameter, dataset)``.
+
+    That is the truth, of which 0 has no relative error; of the middle of a box, whose own numbers
+    depend on where the origin is, half the box's width.
+    """
+    sizes = np.where(truth == 0.0, np.nan, np.abs(truth))
+    for index, name in enumerate(names):
+        partner = name.replace("center", "half_width")
+        if partner != name and partner in names:
+            sizes[:, index] = np.abs(truth[:, names.index(partner)])
+    return sizes

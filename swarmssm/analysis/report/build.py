@@ -24,7 +24,7 @@ from swarmssm.inference import Fit
 
 __all__ = ["build_report", "full_section", "report_run", "write_report"]
 
-#: Swarms that are simulated for the checks: no p-value is below one in so many.
+#: Swarms that are simulated for the checks.
 CHECK_DRAWS = 100
 #: Draws of paths behind forces and maps.
 FORCE_DRAWS = 5
@@ -102,7 +102,7 @@ def full_section(
     evaluation: Evaluation | None = None,
     rivals: Mapping[str, Fit] | None = None,
     scores: xr.Dataset | None = None,
-    checks: bool = True,
+    checks: int = CHECK_DRAWS,
     forces: bool = True,
     player: bool = True,
     thesis: str | None = "auto",
@@ -123,7 +123,8 @@ def full_section(
     scores
         Of :func:`swarmssm.analysis.backtest` with them, if they are there already.
     checks
-        Whether to check the fit by swarms simulated from it.
+        How many swarms are simulated from the fit to check it by; 0 for no checks, else at least
+        10. No p-value is below one in so many.
     forces
         Whether to say which forces act and by which rule, with few draws:
         :func:`swarmssm.analysis.analyze` says more.
@@ -161,7 +162,7 @@ def full_section(
         ask(
             "checked",
             "simulating swarms",
-            lambda: check(fit, tracks, draws=CHECK_DRAWS, part=part, seed=seed),
+            lambda: check(fit, tracks, draws=checks, part=part, seed=seed),
         )
         ask("pit", "how sure one step is", lambda: one_step_pit(fit, tracks, part=part, seed=seed))
     if forces:

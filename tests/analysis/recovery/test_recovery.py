@@ -173,3 +173,10 @@ def test_mistakes(options, words):
     given = {"model": "linear", "base": BASE, "factors": {"frames": [10]}, "datasets": 1, **options}
     with pytest.raises(InputError, match=words):
         recovery_study(**given)
+
+
+def test_errors_of_a_place_are_relative_to_the_box():
+    names = ["t.half_width[0]", "t.half_width[1]", "t.center[0]", "t.center[1]", "t.gain", "t.off"]
+    truth = np.array([2.0, 4.0, 0.01, 0.0, -0.5, 0.0]).reshape(1, 6, 1)
+    expected = [2.0, 4.0, 2.0, 4.0, 0.5, np.nan]
+    np.testing.assert_array_equal(module._sizes(names, truth)[0, :, 0], expected)
