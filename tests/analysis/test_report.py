@@ -284,17 +284,23 @@ def test_mistakes_are_told(tmp_path, quick_fit, boids, planted):
         write_report([section], tmp_path / "none" / "r.html")
 
 
-def test_a_whole_report_has_checks_forces_comparison_and_a_player(tmp_path, boids, monkeypatch):
-    """Of a model of forces; with few draws."""
-    for name, value in (("FORCE_DRAWS", 2), ("PLAYED", 10)):
-        monkeypatch.setattr(build, name, value)
+@pytest.fixture(scope="module")
+def whole(boids, tmp_path_factory):
+    """A report with all chapters, of a model of forces, and what was told while it was made."""
     fit = inference.fit("boids", "auto", boids, model_options={"limits": False})
     rival = inference.fit("graph-vae", "encoder", boids, epochs=1)
     told = []
-    path = tmp_path / "whole.html"
-    options = {"checks": 12, "progress": told.append, **FEW}
-    report_run(fit, boids, path, rivals={"vae": rival}, **options)
-    text = path.read_text(encoding="utf-8")
+    path = tmp_path_factory.mktemp("whole") / "whole.html"
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in (("FORCE_DRAWS", 2), ("PLAYED", 10)):
+            patch.setattr(build, name, value)
+        options = {"checks": 12, "progress": told.append, **FEW}
+        report_run(fit, boids, path, rivals={"vae": rival}, **options)
+    return path.read_text(encoding="utf-8"), told
+
+
+def test_a_whole_report_has_checks_forces_comparison_and_a_player(whole):
+    text, told = whole
     page = Page(text)
     check_headings(page)
     headings = [data.strip() for tag, data in page.text if tag == "h2"]
@@ -310,6 +316,24 @@ def test_a_whole_report_has_checks_forces_comparison_and_a_player(tmp_path, boid
     places = [attrs["id"] for _, attrs, _ in page.tags if "id" in attrs]
     assert len(places) == len(set(places))
     assert len(told) == 6
+    assert len(text) < 15_000_000
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_in_a_browser_it_is_quiet_plays_and_fits_a_telephone(visit, whole, scheme):
+    narrow = {"width": 420, "height": 800}
+    page = visit(whole[0], viewport=narrow, color_scheme=scheme)
+    player = page.locator(".swarm-player")
+    player.wait_for()
+    page.locator('.swarm-player[data-state="ready"]').wait_for()
+    player.locator('[data-part="play"]').click()
+    for _ in range(100):
+        if player.evaluate("own => own.player.frame") > 0:
+            break
+        page.wait_for_timeout(100)
+    assert player.evaluate("own => own.player.frame") > 0
+    # What is wider than a telephone scrolls by itself, not the page with it.
+    assert page.evaluate("document.documentElement.scrollWidth") <= narrow["width"]
 
 
 @pytest.mark.usefixtures("no_pictures")
