@@ -150,4 +150,4 @@ def test_the_sentence_says_who_is_better_and_whether_by_chance(planted):
     assert "cannot be told: the origins are too few" in few
     worse = {"a": np.array([3.0, 9.0]) + noise, "b": 10.0, "constant-velocity": 4.0}
     told = sentence(planted(worse))
-    assert "It is better than constant velocity at 1 steps and worse" in told
+    assert "It is better than constant velocity at one step and worse" in told
