@@ -7,7 +7,7 @@ import typer
 
 from swarmssm.cli.console import print_evaluation, print_rows, say
 from swarmssm.cli.options import Overwrite, Seed
-from swarmssm.cli.progress import stages, training_progress
+from swarmssm.cli.progress import counting_progress, stages, training_progress
 from swarmssm.errors import InputError
 
 if TYPE_CHECKING:
@@ -36,8 +36,8 @@ OPTIONS: dict[tuple[str, str], dict[str, Any]] = {
     (FISH, "boids"): {"limits": False, "relaxation": True},
     (FLOCK, "boids"): {"observed": "states"},
 }
-#: Swarms that are simulated to check each.
-CHECKS = 50
+#: Swarms that are simulated to check each; frames of each trial to forecast from, and futures.
+CHECKS, ORIGINS, DRAWS = 30, 3, 30
 #: Those that take steps: the others are fitted until they stay.
 TRAINED = (THESIS, "graph-ssm")
 
@@ -111,11 +111,14 @@ def _sections(
     from swarmssm import analysis
     from swarmssm.analysis.scores import score_table
 
-    scores = analysis.backtest(fits, tracks, seed=seed)
+    with counting_progress(f"{title}: forecasting", "batches") as show:
+        scores = analysis.backtest(
+            fits, tracks, origins=ORIGINS, draws=DRAWS, seed=seed, progress=show
+        )
     sections = []
     for model, fitted in fits.items():
         thesis = "auto" if model == THESIS else None
-        result = analysis.evaluate(fitted, tracks, seed=seed)
+        result = analysis.evaluate(fitted, tracks, origins=ORIGINS, seed=seed)
         print_evaluation(f"{title}: {model}", result, thesis)
         with stages() as show:
             sections.append(

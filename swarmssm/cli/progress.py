@@ -40,8 +40,10 @@ def training_progress(label: str) -> Iterator[Callable[["Progress"], None]]:
 
 
 @contextmanager
-def counting_progress(label: str) -> Iterator[Callable[["Counted"], None]]:
-    """Show how many simulated data sets are done."""
+def counting_progress(
+    label: str, things: str = "data sets"
+) -> Iterator[Callable[["Counted"], None]]:
+    """Show how many things are done, such as simulated data sets."""
     if sys.stderr.isatty():
         with _bar(label) as show:
             yield lambda now: show(now.done, now.total, _failed(now))
@@ -54,7 +56,7 @@ def counting_progress(label: str) -> Iterator[Callable[["Counted"], None]]:
         nonlocal first
         begins = first is None
         first = now.done if first is None else first
-        text = f"{now.done} of {now.total} data sets"
+        text = f"{now.done} of {now.total} {things}"
         if now.failed:
             text += f", {_failed(now)}"
         own = now.done - first

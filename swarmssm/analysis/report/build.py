@@ -164,7 +164,12 @@ def full_section(
             "simulating swarms",
             lambda: check(fit, tracks, draws=checks, part=part, seed=seed),
         )
-        ask("pit", "how sure one step is", lambda: one_step_pit(fit, tracks, part=part, seed=seed))
+        origins = int(evaluation.settings["origins"])
+        ask(
+            "pit",
+            "how sure one step is",
+            lambda: one_step_pit(fit, tracks, part=part, origins=origins, seed=seed),
+        )
     if forces:
         ask(
             "analysis",
