@@ -274,4 +274,4 @@ def test_the_sentence_says_the_numbers(make_fit, make_kernels, tracks):
     assert text.startswith("1 moves the others most")
     middle = float(found["leadership"].sel(individual="1", quantile=0.5))
     assert f"{format_number(middle, 2)} cm/s²" in text
-    assert "1 is a leader (at a rate of false alarms of 5% or less)" in text
+    assert "1 is a leader (at a rate of false alarms of 5 % or less)" in text
