@@ -79,7 +79,7 @@ def _checked(anchor: str, checked: xr.Dataset) -> list[Block]:
         Picture(title, "", f"{text} {OVERVIEW}", overview),
         Table(
             "Statistics of the recording beside those of simulated swarms; p corrected is for "
-            "asking so many questions (Holm)",
+            "asking so many questions",
             _verdict_rows(checked),
             "plain words",
         ),
