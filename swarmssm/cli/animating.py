@@ -1,18 +1,13 @@
 """``animate``: tracks in motion, a free run of a fitted model beside them."""
 
-import sys
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import rich.console
-import rich.progress
 import typer
 
 from swarmssm.cli.console import say
 from swarmssm.cli.options import File, Overwrite, Seed, TrustCode
+from swarmssm.cli.progress import piece_progress
 from swarmssm.errors import InputError
 from swarmssm.files import check_output
 
@@ -20,9 +15,6 @@ if TYPE_CHECKING:
     from swarmssm.analysis.scenes.scene import Choice
 
 __all__ = ["animate"]
-
-#: Seconds between two lines of progress where there is no terminal.
-LINE_EVERY = 10.0
 
 
 def animate(
@@ -117,7 +109,7 @@ def animate(
         from swarmssm.analysis.report.embed import house_style
 
         pace = {".gif": films.FASTEST_GIF}.get(out.suffix.lower(), films.FASTEST)
-        with house_style(), _drawing(str(out)) as show:
+        with house_style(), piece_progress(str(out), "frames") as show:
             film = films.animate(
                 tracks,
                 predicted,
@@ -131,23 +123,3 @@ def animate(
     begins = "" if start is None else f" from {start:.4g} s"
     beside = "" if fitted is None else f", beside them a {titles[1]}"
     say(f"{out}: written. It shows the tracks of {file}{begins}{beside}.")
-
-
-@contextmanager
-def _drawing(label: str) -> Iterator[Callable[[int, int], None]]:
-    """Show how many frames are drawn: a bar on a terminal, plain lines elsewhere."""
-    if sys.stderr.isatty():
-        console = rich.console.Console(stderr=True)
-        with rich.progress.Progress(console=console) as bar:
-            task = bar.add_task(label, total=None)
-            yield lambda done, total: bar.update(task, completed=done, total=total)
-        return
-    last = time.monotonic()
-
-    def line(done: int, total: int) -> None:
-        nonlocal last
-        if time.monotonic() - last >= LINE_EVERY:
-            last = time.monotonic()
-            typer.echo(f"{label}: {done} of {total} frames drawn", err=True)
-
-    yield line

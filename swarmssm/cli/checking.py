@@ -1,16 +1,13 @@
 """``check``: whether a fitted model makes swarms like the one that was seen."""
 
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import rich.console
 import typer
 
 from swarmssm.cli.console import print_json, print_rows, say
 from swarmssm.cli.options import File, Format, Overwrite, Run, Seed, TableFormat, TrustCode
+from swarmssm.cli.progress import piece_progress
 from swarmssm.errors import InputError
 from swarmssm.files import check_output, write_beside
 
@@ -85,7 +82,7 @@ def check(
             chosen.append(found)
     fitted = inference.Fit.load(run, trust_code=trust_code)
     tracks = io.read(file)
-    with _counting("simulating") as show:
+    with piece_progress("simulating", "swarms") as show:
         checked = compare(
             fitted,
             tracks,
@@ -142,13 +139,3 @@ def _check_picture(path: Path) -> None:
 def _save(drawn: "Figure", path: Path, *, overwrite: bool) -> None:
     with write_beside(path, overwrite=overwrite) as temporary:
         drawn.savefig(temporary, format=path.suffix[1:].lower(), dpi=150)
-
-
-@contextmanager
-def _counting(label: str) -> Iterator[Callable[[int, int], None]]:
-    """Show how many replicates are done: a moving line on a terminal, plain lines elsewhere."""
-    if sys.stderr.isatty():
-        with rich.console.Console(stderr=True).status(label) as status:
-            yield lambda done, total: status.update(f"{label}: {done} of {total}")
-        return
-    yield lambda done, total: typer.echo(f"{label}: {done} of {total}", err=True)

@@ -37,7 +37,7 @@ OPTIONS: dict[tuple[str, str], dict[str, Any]] = {
     (FLOCK, "boids"): {"observed": "states"},
 }
 #: Swarms that are simulated to check each; frames of each trial to forecast from, and futures.
-CHECKS, ORIGINS, DRAWS = 30, 3, 30
+CHECKS, ORIGINS, DRAWS = 50, 3, 30
 #: Those that take steps: the others are fitted until they stay.
 TRAINED = (THESIS, "graph-ssm")
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from swarmssm.analysis.calibration.many_runs import Counted
     from swarmssm.inference import Progress
 
-__all__ = ["counting_progress", "stages", "training_progress"]
+__all__ = ["counting_progress", "piece_progress", "stages", "training_progress"]
 
 #: Seconds between two lines where there is no terminal.
 LINE_EVERY = 10.0
@@ -66,6 +66,15 @@ def counting_progress(
         lines.tell(text, at_once=begins or now.done == now.total)
 
     yield line
+
+
+@contextmanager
+def piece_progress(label: str, things: str) -> Iterator[Callable[[int, int], None]]:
+    """Show how many of how many things are done, told as two numbers."""
+    from swarmssm.analysis.calibration.many_runs import Counted
+
+    with counting_progress(label, things) as show:
+        yield lambda done, total: show(Counted(done, total, 0))
 
 
 def _failed(now: "Counted") -> str:

@@ -70,7 +70,8 @@ def test_a_free_run_stands_beside_the_tracks(swarmssm, flock_file, run_folder, t
 def test_a_gif_of_tracks(swarmssm, flock_file, run_folder, tmp_path):
     asked = ("animate", flock_file, "--run", run_folder, "--start", 3, "--steps", 4)
     done = swarmssm(*asked, "--out", "w.gif")
-    assert (done.status, done.err) == (0, "")
+    assert done.status == 0, done.err
+    assert done.err.endswith("w.gif: 5 of 5 frames\n")
     with Image.open(tmp_path / "w.gif") as film:
         assert film.n_frames == 5
         # Boids at ten frames a second.

@@ -17,6 +17,8 @@ __all__ = ["LEVEL", "sentence", "verdicts"]
 LEVEL = 0.05
 #: From this share of replicates that flew off on, a model is unlike any recording.
 MANY_DIVERGED = 0.05
+#: Two p-values closer than this are one.
+EQUAL = 1e-9
 
 
 def verdicts(
@@ -65,7 +67,11 @@ def verdicts(
             )
         else:
             found = _curve(titles[index], own[name], replicated[name])
-        said.append((verdict, f"{found}: {_meaning(verdict, one.p_value, adjusted[index])}."))
+        draws = len(replicated[name])
+        least = (2.0 if kinds[index] == "number" else 1.0) / (draws + 1)
+        said.append(
+            (verdict, f"{found}: {_meaning(verdict, one.p_value, adjusted[index], least)}.")
+        )
     return said
 
 
@@ -75,9 +81,11 @@ def _verdict(p_value: float, adjusted: float) -> str:
     return "unlike" if adjusted < LEVEL else "doubtful"
 
 
-def _meaning(verdict: str, p_value: float, adjusted: float) -> str:
-    """Return what a verdict means, with its numbers."""
+def _meaning(verdict: str, p_value: float, adjusted: float, least: float) -> str:
+    """Return what a verdict means, with its numbers; ``least`` is the lowest p there can be."""
     number = f"p = {_p(p_value)}"
+    if verdict == "alike" and least >= LEVEL and p_value <= least * (1.0 + EQUAL):
+        return f"no replicate is as far out, but of so few no p-value is lower ({number})"
     if verdict == "alike":
         return f"nothing speaks against the model here ({number})"
     number += f", {_p(adjusted)} with all statistics allowed for"

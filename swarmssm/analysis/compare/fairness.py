@@ -1,9 +1,10 @@
 """Which runs may be judged on which frames, and the reasons why not."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import xarray as xr
 
+from swarmssm.analysis.joining import joined
 from swarmssm.analysis.scores.frames import ScoredFrames, common_frames
 from swarmssm.analysis.subject import same_tracks
 from swarmssm.errors import InputError
@@ -14,7 +15,7 @@ from swarmssm.models.parameters import priors_of
 from swarmssm.models.scales import Scales, scales_of
 from swarmssm.splits import Segment
 
-__all__ = ["check_future", "check_same_scales", "held_out_frames", "listed", "seen_frames"]
+__all__ = ["check_future", "check_same_scales", "held_out_frames", "seen_frames"]
 
 #: A unit of length is another one if sizes differ by more than this factor.
 FACTOR = 10.0
@@ -78,7 +79,7 @@ def held_out_frames(
     if seen and not allow_seen:
         verb = "were" if len(seen) > 1 else "was"
         raise InputError(
-            f"{listed(seen)} {verb} fitted on frames that would be scored here, so that the scores "
+            f"{joined(seen)} {verb} fitted on frames that would be scored here, so that the scores "
             "flatter. Keep frames back when fitting, judge on another file, or say that "
             "this is meant (--allow-seen)."
         )
@@ -97,14 +98,14 @@ def seen_frames(fits: Mapping[str, Fit], tracks: xr.Dataset) -> tuple[Segment, .
     if foreign:
         verb = "were" if len(foreign) > 1 else "was"
         raise InputError(
-            f"{listed(foreign)} {verb} not fitted on these tracks. Leave-one-out takes frames back "
+            f"{joined(foreign)} {verb} not fitted on these tracks. Leave-one-out takes frames back "
             "out of a posterior that knows them; judge on unseen tracks by method held-out."
         )
     rigid = [name for name, fit in fits.items() if not _can_forget(fit)]
     if rigid:
         have = "have" if len(rigid) > 1 else "has"
         raise InputError(
-            f"{listed(rigid)} {have} learned weights without a posterior, from which no frame can "
+            f"{joined(rigid)} {have} learned weights without a posterior, from which no frame can "
             "be taken back out by weighting draws. Compare by method held-out or lfo."
         )
     trained = {name: fit.split.train for name, fit in fits.items()}
@@ -149,8 +150,3 @@ def _can_forget(fit: Fit) -> bool:
     if guide is None or getattr(guide, "kind", "") == "delta":
         return False
     return not any(weight.numel() for weight in model.parameters())
-
-
-def listed(words: Sequence[str]) -> str:
-    """Join words as in a sentence."""
-    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)

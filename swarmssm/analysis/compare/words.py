@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from swarmssm.analysis.compare.fairness import listed
 from swarmssm.analysis.compare.ranking import NOISE_FLOOR
+from swarmssm.analysis.joining import joined
 from swarmssm.analysis.table import format_number
 
 __all__ = ["comparison_dict", "comparison_table", "sentence"]
@@ -117,13 +117,13 @@ def sentence(result: xr.Dataset) -> str:
     close = [name for name in rest if name not in unknown and not _is_behind(result, name)]
     if unknown:
         text += (
-            f"By how much {listed(unknown)} could be behind by chance cannot be told: this is an "
+            f"By how much {joined(unknown)} could be behind by chance cannot be told: this is an "
             "order, and no finding."
         )
     elif close:
         verb = "are" if len(close) > 1 else "is"
         text += (
-            f"{listed(close)} {verb} not behind by {SURE:g} standard errors: these data do not "
+            f"{joined(close)} {verb} not behind by {SURE:g} standard errors: these data do not "
             "tell which is better."
         )
     elif rest:
@@ -133,7 +133,7 @@ def sentence(result: xr.Dataset) -> str:
     if beaten:
         have = "do" if len(beaten) > 1 else "does"
         text += (
-            f" {listed(beaten)} {have} not forecast better than going straight on: no rule can be "
+            f" {joined(beaten)} {have} not forecast better than going straight on: no rule can be "
             "read from a model that loses to none."
         )
     if "believed" in result:

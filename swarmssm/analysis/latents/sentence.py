@@ -3,6 +3,8 @@
 import numpy as np
 import xarray as xr
 
+from swarmssm.analysis.joining import joined
+
 __all__ = ["sentence"]
 
 #: A p-value up to this counts.
@@ -52,7 +54,7 @@ def sentence(alignment: xr.Dataset) -> str:
         found += "Whether it is more than chance cannot be told (p at the least"
         found += f" {float(np.nanmin(p)):.2g}"
     elif sure:
-        found += f"Chance is ruled out for {_listed(sure)} alone (p at most {LEVEL:g}"
+        found += f"Chance is ruled out for {joined(sure)} alone (p at most {LEVEL:g}"
     else:
         found += f"None of it is more than chance gives (p from {float(np.nanmin(p)):.2g} upwards"
     found += f"; {alignment.attrs['shifts']} shifts in time cannot show less than {least:.2g}). "
@@ -62,15 +64,10 @@ def sentence(alignment: xr.Dataset) -> str:
         if not better:
             found += "Before training the same network told as much: this is not what was learned."
         elif worse:
-            found += f"Training added to it for {_listed(better)}, not for {_listed(worse)}."
+            found += f"Training added to it for {joined(better)}, not for {joined(worse)}."
         else:
             found += "Training added to all of them."
     return found.strip()
-
-
-def _listed(words: list[str]) -> str:
-    """Join words as in a sentence."""
-    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
 
 def _p_text(p: float, least: float) -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 import xarray as xr
 
 from swarmssm.analysis.analyzed import Analysis
+from swarmssm.analysis.joining import joined
 from swarmssm.analysis.plots.gathered import plot_gathered_shares, plot_log_scores
 from swarmssm.analysis.report import analysis_sentences
 from swarmssm.analysis.report.embed import as_svg, house_style
@@ -33,7 +34,6 @@ from swarmssm.analysis.report.side_by_side import (
     finding_rows,
     unit_sentence,
 )
-from swarmssm.analysis.report.wording import joined
 from swarmssm.errors import InputError
 from swarmssm.files import check_output
 

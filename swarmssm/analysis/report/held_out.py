@@ -3,8 +3,9 @@
 import numpy as np
 import xarray as xr
 
+from swarmssm.analysis.joining import joined
 from swarmssm.analysis.plots.gathered import RIVALS
-from swarmssm.analysis.report.wording import capital, joined
+from swarmssm.analysis.report.wording import capital
 from swarmssm.analysis.scores.differences import paired_difference
 from swarmssm.analysis.scores.tables import score_table
 from swarmssm.analysis.table import format_number

@@ -8,11 +8,11 @@ import xarray as xr
 
 from swarmssm import metrics
 from swarmssm.analysis.evaluation import Evaluation
+from swarmssm.analysis.joining import joined
 from swarmssm.analysis.report.wording import (
     ALIKE,
     better,
     capital,
-    joined,
     percent,
     quantity,
     times,

@@ -5,7 +5,7 @@ import math
 from swarmssm.analysis.evaluation import Evaluation
 from swarmssm.analysis.table import format_number
 
-__all__ = ["ALIKE", "better", "capital", "joined", "percent", "quantity", "times", "title_of"]
+__all__ = ["ALIKE", "better", "capital", "percent", "quantity", "times", "title_of"]
 
 #: Numbers that differ by less than this share of the larger are called equal.
 ALIKE = 0.05
@@ -46,8 +46,3 @@ def times(ratio: float) -> str:
 def quantity(value: float, unit: str) -> str:
     """Return a number with its unit."""
     return f"{format_number(value)} {unit}".rstrip()
-
-
-def joined(words: list[str]) -> str:
-    """Return words joined as in a sentence."""
-    return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1]

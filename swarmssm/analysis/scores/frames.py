@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
+from swarmssm.analysis.joining import joined
 from swarmssm.analysis.subject import default_part, same_tracks
 from swarmssm.errors import InputError
 from swarmssm.inference import Fit
@@ -168,7 +169,7 @@ def _notes(
     foreign = [name for name, mine in own.items() if not mine]
     if foreign:
         verb = "were" if len(foreign) > 1 else "was"
-        notes.append(f"{_listed(foreign)} {verb} not fitted on these tracks.")
+        notes.append(f"{joined(foreign)} {verb} not fitted on these tracks.")
     if _name(names, parts) == "common":
         notes.append("The fits were split in different ways: scored is what all hold out.")
     notes += [
@@ -179,12 +180,7 @@ def _notes(
     chosen = [name for name, kind in names.items() if kind == "validation"]
     if chosen:
         notes.append(
-            f"The weights of {_listed(chosen)} were chosen by the scored frames (validation part): "
+            f"The weights of {joined(chosen)} were chosen by the scored frames (validation part): "
             "scores on it flatter."
         )
     return notes
-
-
-def _listed(words: Sequence[str]) -> str:
-    """Join words as in a sentence."""
-    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)

@@ -3,6 +3,7 @@
 import numpy as np
 import xarray as xr
 
+from swarmssm.analysis.joining import joined
 from swarmssm.analysis.scores.differences import paired_difference
 from swarmssm.analysis.scores.tables import score_table, skill
 from swarmssm.analysis.table import format_number
@@ -40,7 +41,7 @@ def sentence(scores: xr.Dataset) -> str:
     rivals = [name for name in (RIVAL, FLOOR) if name in models]
     others += [f"{format_number(float(table[name]))} of {_spoken(name)}" for name in rivals]
     if others:
-        text += ", beside " + _listed(others)
+        text += ", beside " + joined(others)
     text += f", over {number} forecasts from {scores.sizes['origin']} frames. "
     if RIVAL in models:
         text += _against_rival(scores, best)
@@ -54,7 +55,7 @@ def sentence(scores: xr.Dataset) -> str:
     trained = [str(name) for name in fits if int(scores["trained_on"].sel(model=name)) > 0]
     if trained:
         text += (
-            f" {_listed(trained)} had seen some of these frames in training: this is no test of "
+            f" {joined(trained)} had seen some of these frames in training: this is no test of "
             f"{'them' if len(trained) > 1 else 'it'}."
         )
     return text
@@ -83,7 +84,7 @@ def _against_rival(scores: xr.Dataset, best: str) -> str:
     if not parts:
         return "At no horizon does it differ from constant velocity by more than chance. "
     text = "It is " + " and ".join(parts) + " (90 % intervals)"
-    return text + (f"; at {_listed(rest)} chance is not ruled out. " if rest else ". ")
+    return text + (f"; at {joined(rest)} chance is not ruled out. " if rest else ". ")
 
 
 def _covered(scores: xr.Dataset, best: str) -> str:
@@ -110,14 +111,9 @@ def _steps(number: int) -> str:
 
 def _at(horizons: list[str]) -> str:
     """Return horizons in words."""
-    return "one step" if horizons == ["1"] else f"{_listed(horizons)} steps"
+    return "one step" if horizons == ["1"] else f"{joined(horizons)} steps"
 
 
 def _spoken(name: str) -> str:
     """Return the words for a rival."""
     return {RIVAL: "constant velocity", FLOOR: "the true rule"}.get(name, name)
-
-
-def _listed(words: list[str]) -> str:
-    """Join words as in a sentence."""
-    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)

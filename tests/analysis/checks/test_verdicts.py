@@ -1,5 +1,7 @@
 """Sentences of checks whose outcome is planted."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -81,3 +83,21 @@ def test_it_says_how_far_it_can_be_believed():
     assert "free runs of 50 frames in the test part" in sentence(planted("alike"))
     trained = planted("alike", part="all", notes="... frames that the model was trained on.")
     assert "less than it seems" in sentence(trained)
+
+
+@pytest.mark.parametrize(
+    ("draws", "words"),
+    [(30, "of so few no p-value is lower (p = 0.065)"), (50, "does not make swarms like this")],
+)
+def test_too_few_draws_do_not_speak_for_the_model(draws, words):
+    """Of 30 replicates none can be below 2 / 31; a recording outside of all is not alike them."""
+    replicated = np.linspace(0.0, 1.0, draws)
+    p_value = 2.0 / (draws + 1)
+    judged = [SimpleNamespace(p_value=p_value, hellinger=0.0, hellinger_among=0.0)]
+    own, drawn = {"a": np.array(2.0)}, {"a": replicated}
+    none = np.zeros(draws, dtype=bool)
+    [(_, said)] = verdicts(
+        ["a"], ["speed"], ["number"], ["cm/s"], own, drawn, judged, np.array([p_value]), none
+    )
+    assert words in said
+    assert "nothing speaks" not in said
