@@ -7,33 +7,42 @@ import numpy.typing as npt
 import xarray as xr
 
 from swarmssm.errors import InputError
+from swarmssm.graphs import GraphRule
 from swarmssm.metrics.masked import known
+from swarmssm.models.baselines.training import Training
 from swarmssm.tracks import Array, states_of, with_trials
 
 __all__ = ["Baseline"]
 
 
 class Baseline:
-    """A forecast that needs no graph network.
+    """A rival to hold a model against: it learns from states, and forecasts states.
 
-    A subclass writes :meth:`step`; if it learns something it also overrides :meth:`learn`. States
-    are in the tracks' own units, ordered ``[x, y, vx, vy]``, NaN where unknown: an individual that
-    is not known throughout the frames that a step looks at is not forecast.
+    A subclass writes :meth:`step`; if it learns something it also overrides :meth:`learn`, and if
+    it remembers more than a window of states, :meth:`one_step` and :meth:`predict`. States are in
+    the tracks' own units, ordered ``[x, y, vx, vy]``, NaN where unknown. Everybody whose state is
+    known in the last frame is forecast, whatever gaps there are before it; nobody else is.
 
     Attributes
     ----------
     name, title
         For the command line and for tables.
+    paper
+        Where the method comes from.
+    told
+        Whether it is told what others have to find out, such as the true forms of the forces.
     order
-        Number of past frames that a step looks at.
+        Number of past frames that a step looks at, the present one included.
     residual_covariance
-        Covariance of one-step errors on the tracks it was fitted to, ``(state, state)``; ``None``
-        before :meth:`fit`.
+        Covariance of one-step errors, ``(state, state)``, on the validation part if there was one,
+        else on the tracks it was fitted to; ``None`` before :meth:`fit`.
     """
 
     name: ClassVar[str]
     title: ClassVar[str]
-    order: ClassVar[int] = 1
+    paper: ClassVar[str] = ""
+    told: ClassVar[bool] = False
+    order: int = 1
 
     def __init__(self) -> None:
         self.residual_covariance: Array | None = None
@@ -54,16 +63,37 @@ class Baseline:
         """
         raise TypeError(f"{type(self).__name__} must define step(window, fps)")
 
-    def learn(self, states: Array, fps: float) -> None:
+    @property
+    def num_parameters(self) -> int:
+        """How many numbers were learned."""
+        return 0
+
+    def learn(self, states: Array, fps: float, training: Training) -> None:
         """Learn what :meth:`step` needs from states ``(trial, time, individual, state)``."""
 
-    def fit(self, tracks: xr.Dataset) -> Self:
+    def fit(
+        self,
+        tracks: xr.Dataset,
+        *,
+        validation: xr.Dataset | None = None,
+        graph: GraphRule | str | None = None,
+        seconds: float | None = None,
+        seed: int = 0,
+    ) -> Self:
         """Learn from tracks, and measure how far the steps are off.
 
         Parameters
         ----------
         tracks
             The training part. Where it carries no velocity, differences take its place.
+        validation
+            Tracks that tell a method with many parameters when to stop.
+        graph
+            Who sees whom, for instance ``"radius:2.5"``; absent, everybody sees everybody.
+        seconds
+            Processor time for a method that learns by steps; absent, its own number of epochs.
+        seed
+            Of weights and batches.
 
         Returns
         -------
@@ -72,16 +102,32 @@ class Baseline:
         Raises
         ------
         InputError
-            If there are not two steps of anybody to learn from.
+            If there are not two steps of anybody to learn from, or the graph is no rule.
         """
         states, fps = states_of(tracks), float(tracks.attrs["fps"])
-        self.learn(states, fps)
-        errors = states - self.one_step(states, fps)
+        held = None if validation is None else states_of(validation)
+        rule = GraphRule.parse(graph) if isinstance(graph, str) else graph
+        self.fit_states(states, fps, Training(held, rule, seconds, seed))
+        return self
+
+    def fit_states(self, states: Array, fps: float, training: Training) -> None:
+        """Learn from states ``(trial, time, individual, state)``, as :meth:`fit` does.
+
+        Raises
+        ------
+        InputError
+            If there are not two steps of anybody to learn from.
+        """
+        steps = known(states)[:, 1:] & known(states)[:, :-1]
+        if steps.sum() < 2:
+            raise InputError("tracks: there are not two steps to learn from.")
+        self.learn(states, fps, training)
+        judge = states if training.validation is None else training.validation
+        errors = judge - self.one_step(judge, fps)
         seen = errors[known(errors)]
         if len(seen) < 2:
-            raise InputError("tracks: there are not two steps to learn from.")
+            raise InputError("validation: there are not two steps to measure errors on.")
         self.residual_covariance = np.cov(seen, rowvar=False)
-        return self
 
     def one_step(self, states: Array, fps: float) -> Array:
         """Predict each frame from those before it.
@@ -95,14 +141,15 @@ class Baseline:
 
         Returns
         -------
-        Same shape; NaN in the first :attr:`order` frames.
+        Same shape; NaN in the first frame, and where nothing was forecast.
         """
         predicted = np.full(states.shape, np.nan)
-        num_times = states.shape[-3]
-        if num_times > self.order:
-            windows = np.lib.stride_tricks.sliding_window_view(states, self.order, axis=-3)
+        if states.shape[-3] > 1:
+            windows = np.lib.stride_tricks.sliding_window_view(
+                _padded(states, states.shape[-3] + self.order - 1), self.order, axis=-3
+            )
             windows = np.moveaxis(windows, -1, -3)[..., :-1, :, :, :]
-            predicted[..., self.order :, :, :] = self.step(windows, fps)
+            predicted[..., 1:, :, :] = self.step(windows, fps)
         return predicted
 
     def predict(
@@ -117,8 +164,7 @@ class Baseline:
         Parameters
         ----------
         states
-            History ``(..., time, individual, state)`` of at least :attr:`order` frames, in the
-            tracks' units.
+            History ``(..., time, individual, state)``, in the tracks' units.
         horizon
             Number of steps.
         fps
@@ -134,18 +180,12 @@ class Baseline:
         Raises
         ------
         InputError
-            If ``horizon`` is not positive, the history is too short, or draws are asked of a
-            baseline that was not fitted.
+            If ``horizon`` is not positive, or draws are asked of a baseline that was not fitted.
         """
         if horizon < 1:
             raise InputError(f"horizon: it must be at least 1, and it is {horizon}.")
-        if states.shape[-3] < self.order:
-            raise InputError(
-                f"history: {self.name} looks at {self.order} frames, and there are "
-                f"{states.shape[-3]}."
-            )
         root = None if generator is None else self._noise_root()
-        window = states[..., -self.order :, :, :]
+        window = _padded(states, self.order)[..., -self.order :, :, :]
         path = np.empty((*states.shape[:-3], horizon, *states.shape[-2:]))
         for ahead in range(horizon):
             following = self.step(window, fps)
@@ -193,12 +233,8 @@ class Baseline:
         source = with_trials(history)
         states, fps = states_of(source), float(source.attrs["fps"])
         last = _last_frames(states)
-        if int(last.min()) + 1 < self.order:
-            raise InputError(
-                f"history: {self.name} looks at {self.order} frames, and a trial ends after "
-                f"{int(last.min()) + 1}."
-            )
-        rows = last[:, None] + np.arange(1 - self.order, 1)
+        states = _padded(states, states.shape[1] + self.order - 1)
+        rows = last[:, None] + np.arange(self.order)
         recent = states[np.arange(len(last))[:, None], rows]
         generator = np.random.default_rng(seed) if draws else None
         start = np.broadcast_to(recent, (draws, *recent.shape)) if draws else recent
@@ -212,6 +248,13 @@ class Baseline:
         values, vectors = np.linalg.eigh(self.residual_covariance)
         root: Array = vectors * np.sqrt(values.clip(min=0.0))
         return root
+
+
+def _padded(states: Array, frames: int) -> Array:
+    """Return states of at least so many frames, unknown ones before the first."""
+    missing = max(0, frames - states.shape[-3])
+    before = np.full((*states.shape[:-3], missing, *states.shape[-2:]), np.nan)
+    return np.concatenate([before, states], axis=-3)
 
 
 def _last_frames(states: Array) -> npt.NDArray[np.int64]:
