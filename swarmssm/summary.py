@@ -94,7 +94,7 @@ def describe(summary: dict[str, Any]) -> list[tuple[str, str]]:
         ("space", f"{summary['space']}-dimensional, unit {unit or 'not told'}"),
         (
             "observed",
-            f"{summary['observed']:.1%}; {summary['gaps']} gaps, "
+            f"{100 * summary['observed']:.1f} %; {summary['gaps']} gaps, "
             f"the longest of {summary['longest_gap']} frames",
         ),
     ]

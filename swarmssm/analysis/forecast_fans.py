@@ -138,12 +138,13 @@ def sentence(fan: xr.Dataset) -> str:
     share = float(inside.mean())
     last = inside.isel(step=-1)
     text = (
-        f"Of {count} positions that came, {share:.0%} lay inside the ellipse that should hold "
-        f"{level:.0%}"
+        f"Of {count} positions that came, {100 * share:.0f} % lay inside the ellipse that should "
+        f"hold {100 * level:.0f} %"
     )
     if last.notnull().any() and inside.sizes["step"] > 1:
         text += (
-            f" ({float(last.mean()):.0%} at the last step, {float(fan['ahead'][-1]):.3g} s ahead)"
+            f" ({100 * float(last.mean()):.0f} % at the last step, "
+            f"{float(fan['ahead'][-1]):.3g} s ahead)"
         )
     starts = fan.sizes["trial"]
     which = "one start" if starts == 1 else f"{starts} starts"

@@ -9,6 +9,7 @@ import numpy.typing as npt
 import torch
 
 from swarmssm import simulate
+from swarmssm.analysis.baseline_errors import baseline_covariances
 from swarmssm.analysis.subject import Subject
 from swarmssm.errors import InputError, WorkError
 from swarmssm.graphs import GraphRule
@@ -55,6 +56,13 @@ class Forecaster(Protocol):
         self, trials: Rows, rows: Rows, steps: int, draws: int, seed: int
     ) -> Array | None:
         """Return positions as they may be seen, tracking noise included, in the same order."""
+
+    def spread(self, states: Array, steps: int) -> Array | None:
+        """Return the covariances ``(step, space, space)`` of normals about what it expects.
+
+        Of a forecaster without noise of its own, from its errors on ``(trial, time, individual,
+        state)``; ``None`` from one that draws.
+        """
 
 
 class ModelForecaster:
@@ -111,6 +119,9 @@ class ModelForecaster:
         """Run the rule; it is fitted to the tracks as they are, their noise included."""
         return self.free_runs(trials, rows, steps, draws, seed)[..., : self.subject.num_space]
 
+    def spread(self, states: Array, steps: int) -> None:
+        """Return nothing: it draws."""
+
     def _run(self, trials: Rows, rows: Rows, steps: int, *, draws: int) -> Array:
         """Run from frames of the subject, a bounded number at once."""
         inputs = self.subject.inputs
@@ -161,6 +172,10 @@ class BaselineForecaster:
 
     def positions(self, trials: Rows, rows: Rows, steps: int, draws: int, seed: int) -> None:
         """Return nothing: a baseline has no noise of its own."""
+
+    def spread(self, states: Array, steps: int) -> Array:
+        """Measure its errors."""
+        return baseline_covariances(self.baseline, states, steps, self.subject.fps)
 
 
 class LawForecaster:
@@ -223,6 +238,9 @@ class LawForecaster:
         drawn = np.random.default_rng(seed).normal(size=(*runs.shape[:-1], self.subject.num_space))
         positions: Array = runs[..., : self.subject.num_space] + noise * drawn
         return positions
+
+    def spread(self, states: Array, steps: int) -> None:
+        """Return nothing: it draws."""
 
     def _run(
         self, trials: Rows, rows: Rows, steps: int, generator: torch.Generator | None

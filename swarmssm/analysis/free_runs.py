@@ -8,7 +8,7 @@ import xarray as xr
 
 from swarmssm import metrics
 from swarmssm.analysis.forecasters import Forecaster
-from swarmssm.analysis.subject import Subject
+from swarmssm.analysis.scored import Scored
 from swarmssm.metrics.masked import known
 from swarmssm.tracks import Array
 
@@ -19,7 +19,7 @@ Rows = npt.NDArray[np.int64]
 BOUNDS = 1e6
 
 
-def free_run_starts(subject: Subject, steps: int, count: int) -> tuple[Rows, Rows]:
+def free_run_starts(subject: Scored, steps: int, count: int) -> tuple[Rows, Rows]:
     """Return trial and row of the starts: spread over the frames that leave room for the run.
 
     Where a trial is too short for that there is one start, its first usable frame.
@@ -39,7 +39,7 @@ def free_run_starts(subject: Subject, steps: int, count: int) -> tuple[Rows, Row
 
 
 def collective_scores(
-    subject: Subject,
+    subject: Scored,
     forecasters: Sequence[Forecaster],
     *,
     steps: int,

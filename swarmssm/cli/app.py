@@ -11,6 +11,7 @@ from typer.core import TyperGroup
 from swarmssm import __version__
 from swarmssm.cli.analyzing import analyze
 from swarmssm.cli.animating import animate
+from swarmssm.cli.benchmarking import benchmark
 from swarmssm.cli.calibrating import calibrate
 from swarmssm.cli.checking import check
 from swarmssm.cli.comparing import compare
@@ -54,6 +55,7 @@ app.command("forecast")(forecast)
 app.command("rollout")(rollout)
 app.command("check")(check)
 app.command("compare")(compare)
+app.command("benchmark")(benchmark)
 app.command("analyze")(analyze)
 app.command("gather")(gather)
 app.command("animate")(animate)

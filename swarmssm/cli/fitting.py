@@ -59,6 +59,23 @@ def fit(
             help="auto, data, or radius:2.5, k-nearest:6, visual:body_length=1, complete."
         ),
     ] = "auto",
+    edges: Annotated[
+        str,
+        typer.Option(
+            help="auto (the model's own), relational, dynamic-relational, observed, or a rule."
+        ),
+    ] = "auto",
+    edge_types: Annotated[
+        int | None,
+        typer.Option(help="Types of relational edges, the first being none.  [default: 2]", min=1),
+    ] = None,
+    edge_option: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=VALUE",
+            help="Of relational edges, for instance sparsity=0.8; repeatable.",
+        ),
+    ] = None,
     velocity: Annotated[str, typer.Option(help="auto, difference or kalman.")] = "auto",
     scaler: Annotated[
         str, typer.Option(help="auto (the model's own), minmax, isotropic or none.")
@@ -92,7 +109,9 @@ def fit(
         "split_by": split_by,
         "patience": patience,
         "device": device,
-        **fit_settings(prior, model_option, guide_option, settings),
+        "edges": edges,
+        "edge_types": edge_types,
+        **fit_settings(prior, model_option, guide_option, settings, edge_option),
     }
     for name, value in (("window", window), ("batch_windows", batch_windows)):
         if value is not None:

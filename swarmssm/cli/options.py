@@ -71,6 +71,7 @@ def fit_settings(
     model_options: Sequence[str] | None,
     guide_options: Sequence[str] | None,
     settings: Sequence[str] | None,
+    edge_options: Sequence[str] | None = None,
 ) -> dict[str, Any]:
     """Read the options with pairs that say how to fit, as settings of a fit.
 
@@ -82,6 +83,7 @@ def fit_settings(
     return {
         "model_options": named_values(model_options or [], "--model-option"),
         "guide_options": named_values(guide_options or [], "--guide-option"),
+        "edge_options": named_values(edge_options or [], "--edge-option"),
         "priors": named_texts(priors or [], "--prior"),
         **named_values(settings or [], "--set"),
     }

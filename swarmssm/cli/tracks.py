@@ -77,7 +77,7 @@ def import_tracks(
     summary = summarize(tracks)
     say(
         f"{target}: {summary['individuals']} individuals, {summary['frames']} frames at "
-        f"{summary['fps']:g} per second, {summary['observed']:.1%} observed."
+        f"{summary['fps']:g} per second, {100 * summary['observed']:.1f} % observed."
     )
 
 

@@ -15,6 +15,7 @@ from torch import nn
 
 from swarmssm.errors import InputError
 from swarmssm.inference.guides import SwarmGuide
+from swarmssm.inference.guides.edges import EdgeGuide
 from swarmssm.models import SwarmBatch, SwarmModel
 
 __all__ = ["Bound", "annealing"]
@@ -72,6 +73,9 @@ class Bound(nn.Module):
             raise InputError(f"draws: there must be at least one, not {draws}.")
         self.model, self.guide, self.draws = model, guide, draws
         self.elbo = Trace_ELBO()
+        edges = getattr(guide, "edges_guide", None)
+        if isinstance(edges, EdgeGuide):
+            edges.integrates = draws == 1
 
     def forward(self, batch: SwarmBatch, weight: float = 1.0) -> torch.Tensor:
         r"""Return the loss, which can be differentiated.

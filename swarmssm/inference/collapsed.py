@@ -1,15 +1,16 @@
 """A model with its latent paths summed out, as a Pyro model of the global parameters alone."""
 
-from collections.abc import Mapping
+import contextlib
+from collections.abc import Iterator, Mapping
 
 import pyro
 import torch
 
 from swarmssm.inference.filtering.evidence import Method, collapsed_evidence
 from swarmssm.inference.filtering.layouts import Layout, Points
-from swarmssm.models import StateSpaceModel, SwarmBatch
+from swarmssm.models import InferredEdges, StateSpaceModel, SwarmBatch
 
-__all__ = ["Collapsed", "collapsed", "population_evidence"]
+__all__ = ["Collapsed", "collapsed", "population_evidence", "windows_plate"]
 
 
 def population_evidence(batch: SwarmBatch, evidence: torch.Tensor) -> torch.Tensor:
@@ -29,6 +30,17 @@ def population_evidence(batch: SwarmBatch, evidence: torch.Tensor) -> torch.Tens
     return (batch.window_weight * evidence).sum() * (batch.population / len(batch))
 
 
+@contextlib.contextmanager
+def windows_plate(batch: SwarmBatch) -> Iterator[None]:
+    """Let sites be those of windows, each counting as it does in the population."""
+    rows = torch.arange(len(batch), device=batch.mask.device)
+    with (
+        pyro.plate("windows", batch.population, subsample=rows, dim=-1),
+        pyro.poutine.scale(scale=batch.window_weight),
+    ):
+        yield
+
+
 class Collapsed:
     """See :func:`collapsed`."""
 
@@ -44,8 +56,16 @@ class Collapsed:
         self.given = given
 
     def __call__(self, batch: SwarmBatch) -> None:
-        """Sample the parameters and weigh them by the evidence of the windows."""
-        pyro.factor("evidence", self.evidence(batch, self.model.sample_globals()))
+        """Sample the parameters and weigh them by the evidence of the windows.
+
+        Edges that are inferred are drawn too: the evidence is that of windows with these edges.
+        """
+        values = self.model.sample_globals()
+        edges = self.model.edges
+        if isinstance(edges, InferredEdges):
+            with windows_plate(batch):
+                batch = edges.put(batch, pyro.sample("edges", edges.prior(batch)))
+        pyro.factor("evidence", self.evidence(batch, values))
 
     def evidence(self, batch: SwarmBatch, values: Mapping[str, torch.Tensor]) -> torch.Tensor:
         """Return what the windows say of the evidence of their population, at given values."""

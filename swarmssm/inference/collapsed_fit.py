@@ -9,7 +9,7 @@ import torch
 from pyro.infer import Trace_ELBO
 
 from swarmssm.errors import WorkError
-from swarmssm.inference.collapsed import collapsed
+from swarmssm.inference.collapsed import collapsed, windows_plate
 from swarmssm.inference.filtering.evidence import linearization_points
 from swarmssm.inference.filtering.layouts import Points
 from swarmssm.inference.guides.linearized import LinearizedGuide
@@ -129,7 +129,7 @@ def _by_svi(
     steps, size = options["steps"], options["batch_windows"] or len(windows)
     parameters = guide.parameters_guide
     target = collapsed(model, layout=guide.layout, given=_given(guide, windows))
-    weights = {id(p): p for part in (model, parameters) for p in part.parameters()}
+    weights = {id(p): p for part in (model, guide) for p in part.parameters()}
     learned = [p for p in weights.values() if p.requires_grad]
     optimizer = torch.optim.Adam(learned, lr=options["lr"])
     schedule = torch.optim.lr_scheduler.ExponentialLR(optimizer, 0.1 ** (1.0 / steps))
@@ -137,6 +137,9 @@ def _by_svi(
 
     def draw(batch: SwarmBatch) -> None:
         parameters()
+        if guide.has_edges:
+            with windows_plate(batch):
+                guide.edges_guide(batch)
 
     points: Points | None = None
     every = max(1, steps // ROWS)
@@ -144,7 +147,8 @@ def _by_svi(
     for step in range(1, steps + 1):
         if (step - 1) % MOVE_POINTS == 0:
             middle = parameters.median()
-            points = linearization_points(model, windows, middle, layout=guide.layout, start=points)
+            known = guide.with_edges(windows, sample=False)
+            points = linearization_points(model, known, middle, layout=guide.layout, start=points)
         index = next(batches)
         if points is not None:
             target.points = Points(points.mean[index], points.covariance[index])
@@ -177,5 +181,5 @@ def _score(model: StateSpaceModel, guide: LinearizedGuide, windows: SwarmBatch) 
     target = collapsed(model, layout=guide.layout, given=_given(guide, windows))
     values = guide.parameters_guide.median()
     with torch.no_grad():
-        evidence = target.evidence(windows, values)
+        evidence = target.evidence(guide.with_edges(windows, sample=False), values)
     return -float(evidence) / num_coordinates(windows, model)

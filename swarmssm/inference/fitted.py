@@ -24,7 +24,7 @@ from swarmssm.inference.prediction import (
 )
 from swarmssm.inference.run_folder import Run, load_run, save_run
 from swarmssm.inference.starting import fullest_frames, last_frames
-from swarmssm.models import OneStepModel, StateSpaceModel
+from swarmssm.models import InferredEdges, OneStepModel, StateSpaceModel
 from swarmssm.models.parts import own_parameters
 from swarmssm.splits import take
 from swarmssm.tracks import MAX_COORDINATE, Array, make_tracks
@@ -120,6 +120,42 @@ class Fit(Run):
         if states is not None:
             data["states"] = (("draw", *dims), states.numpy())
         return self._label(xr.Dataset(data), prepared.tracks)
+
+    def edge_probabilities(self, tracks: xr.Dataset) -> xr.DataArray:
+        """Return how probable each type of edge is for each pair, given all frames.
+
+        Parameters
+        ----------
+        tracks
+            Tracks.
+
+        Returns
+        -------
+        ``(trial, time, individual, neighbor, edge_type)``: that the neighbor acts on the individual
+        by an edge of this type, ``"none"`` being no edge. NaN where the two are not both there.
+        Types that are fixed over a window are told by one window after the other, each as long as
+        those of the fit (50 frames at most), which begin with the trial.
+
+        Raises
+        ------
+        InputError
+            If the edges of the fit are not inferred, or the tracks do not fit the model.
+        """
+        model = self.model
+        if not isinstance(model, StateSpaceModel) or not isinstance(model.edges, InferredEdges):
+            raise InputError(
+                "edges: those of this run are not inferred; fit one with --edges relational or "
+                "dynamic-relational."
+            )
+        prepared = self.prepare(tracks)
+        predictor = self.predictor()
+        assert isinstance(predictor, StateSpacePredictor)
+        found = predictor.edge_probabilities(prepared).numpy()
+        dims = ("trial", "time", "individual", "neighbor", "edge_type")
+        labelled = self._label(xr.Dataset({"edge_probability": (dims, found)}), prepared.tracks)
+        probability = labelled["edge_probability"].assign_coords(edge_type=list(model.edges.names))
+        probability.attrs = {"long_name": "probability of the type of edge", "units": "1"}
+        return probability
 
     def parameters(self, draws: int = 1000, seed: int | torch.Generator = 0) -> xr.Dataset:
         """Draw the parameters of the model that have a prior from their posterior.

@@ -36,6 +36,7 @@ from swarmssm.inference.data import Preparation
 from swarmssm.inference.guides import GUIDES, SwarmGuide, find_guide, usual_guide
 from swarmssm.inference.settings import FitSettings, settings_from
 from swarmssm.models import MODELS, Scales, SwarmModel, find_model
+from swarmssm.models.ready import EDGES, with_edges
 from swarmssm.scaling import Scaler
 from swarmssm.splits import Split
 
@@ -136,6 +137,7 @@ def build_modules(
             from swarmssm.models.priors import with_priors
 
             model = with_priors(model, settings.priors)
+        model = _with_edges(model, settings, scales)
         if settings.guide == "auto":
             settings = settings.model_copy(update={"guide": usual_guide(settings.model, model)})
         builder = builders.guide or find_guide(settings.guide)
@@ -145,6 +147,18 @@ def build_modules(
         window = getattr(guide, "window", SwarmGuide.window)
         settings = settings.model_copy(update={"window": window})
     return settings, model, guide.to(torch.float32)
+
+
+def _with_edges(model: SwarmModel, settings: FitSettings, scales: Scales) -> SwarmModel:
+    """Return the model with the edges that the settings name."""
+    if settings.edges != "auto":
+        options = settings.edge_options
+        return with_edges(model, scales, settings.edges, settings.edge_types, options)
+    if settings.edge_types is not None or settings.edge_options:
+        raise InputError(
+            f"edges: types and options are those of inferred edges; choose {' or '.join(EDGES)}."
+        )
+    return model
 
 
 def _build(builder: Any, what: str, name: str, first: Any, options: Mapping[str, Any]) -> Any:

@@ -24,7 +24,7 @@ def _plain(value: Any) -> Any:
 
 
 #: Settings that are tables themselves.
-NESTED = ("model_options", "guide_options", "priors")
+NESTED = ("model_options", "guide_options", "priors", "edge_options")
 Options = dict[str, Annotated[pydantic.JsonValue, pydantic.BeforeValidator(_plain)]]
 
 
@@ -40,6 +40,13 @@ class FitSettings(pydantic.BaseModel):
     priors
         Priors in place of the model's own: name of a parameter -> text such as
         ``"LogNormal(-1, 0.5)"``, see :func:`swarmssm.models.priors.with_priors`.
+    edges
+        ``"auto"``, the model's own; or those that take their place: ``"relational"``,
+        ``"dynamic-relational"``, ``"observed"``, or a rule such as ``"radius:2.5"``, see
+        :func:`swarmssm.models.ready.with_edges`.
+    edge_types, edge_options
+        Number of types of inferred edges, the one that is no edge included (absent, 2), and named
+        arguments of their constructor.
     epochs
         Passes over all training windows; absent, those of the model (300 for the thesis's).
     steps
@@ -95,6 +102,9 @@ class FitSettings(pydantic.BaseModel):
     guide: str = "auto"
     guide_options: Options = {}
     priors: dict[str, str] = {}
+    edges: str = "auto"
+    edge_types: pydantic.PositiveInt | None = None
+    edge_options: Options = {}
     epochs: pydantic.PositiveInt | None = None
     steps: pydantic.PositiveInt | None = None
     window: Annotated[int, pydantic.Field(ge=2)] | Literal["auto"] | None = "auto"

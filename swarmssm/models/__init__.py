@@ -2,7 +2,14 @@
 
 from swarmssm.models.base import NextStep, OneStepModel, SwarmModel
 from swarmssm.models.batch import SwarmBatch
-from swarmssm.models.edges import Edges, LatentEdges, ObservedEdges
+from swarmssm.models.edges import (
+    DynamicRelationalEdges,
+    Edges,
+    InferredEdges,
+    LatentEdges,
+    ObservedEdges,
+    RelationalEdges,
+)
 from swarmssm.models.emissions import (
     Emission,
     NeuralEmission,
@@ -24,9 +31,11 @@ from swarmssm.models.transitions import KinematicTransition, LinearTransition, T
 
 __all__ = [
     "MODELS",
+    "DynamicRelationalEdges",
     "Edges",
     "Emission",
     "GraphVAE",
+    "InferredEdges",
     "InitialStates",
     "Kinematic",
     "KinematicTransition",
@@ -39,6 +48,7 @@ __all__ = [
     "ObservedEdges",
     "OneStepModel",
     "PositionEmission",
+    "RelationalEdges",
     "Scales",
     "Simulation",
     "StateEmission",

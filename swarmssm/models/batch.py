@@ -38,6 +38,10 @@ class SwarmBatch:
         the window in which an individual was observed to the last one.
     controls
         ``(batch, time, control)`` of exogenous inputs, or ``None``.
+    edge_types
+        ``(batch, time, individual, individual, type)``: types of edges that were drawn or inferred,
+        one-hot or probabilities, see :class:`swarmssm.models.edges.InferredEdges`; ``None`` where
+        edges have none. The adjacency is then that of the types.
     """
 
     observations: torch.Tensor
@@ -47,6 +51,7 @@ class SwarmBatch:
     population: int
     present: torch.Tensor
     controls: torch.Tensor | None = None
+    edge_types: torch.Tensor | None = None
 
     @classmethod
     def of(
@@ -109,7 +114,8 @@ class SwarmBatch:
         else:
             adjacency = self.adjacency[:, :-1]
         controls = None if self.controls is None else self.controls[:, :-1]
-        return StepInputs(adjacency, controls, self.present[:, :-1])
+        types = None if self.edge_types is None else self.edge_types[:, :-1]
+        return StepInputs(adjacency, controls, self.present[:, :-1], types)
 
     def select(self, index: torch.Tensor) -> "SwarmBatch":
         """Return the windows at ``index``, as a sample of the same population."""
@@ -121,6 +127,7 @@ class SwarmBatch:
             window_weight=self.window_weight[index],
             present=self.present[index],
             controls=None if self.controls is None else self.controls[index],
+            edge_types=None if self.edge_types is None else self.edge_types[index],
         )
 
     def to(self, device: torch.device) -> "SwarmBatch":
@@ -133,6 +140,7 @@ class SwarmBatch:
             window_weight=self.window_weight.to(device),
             present=self.present.to(device),
             controls=None if self.controls is None else self.controls.to(device),
+            edge_types=None if self.edge_types is None else self.edge_types.to(device),
         )
 
 

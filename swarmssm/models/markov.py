@@ -28,11 +28,15 @@ class StepInputs:
     present
         ``(..., step, individual)`` of bool: who is there at the beginning of the step; ``None`` if
         all are.
+    edge_types
+        ``(..., step, individual, individual, type)``: types of the edges, one-hot or
+        probabilities; ``None`` where they have none.
     """
 
     adjacency: Graph | None = None
     controls: torch.Tensor | None = None
     present: torch.Tensor | None = None
+    edge_types: torch.Tensor | None = None
 
     def at(self, step: int) -> "StepInputs":
         """Return the inputs of one step, without the step dimension."""
@@ -44,6 +48,7 @@ class StepInputs:
             adjacency,
             None if self.controls is None else self.controls[..., step, :],
             None if self.present is None else self.present[..., step, :],
+            None if self.edge_types is None else self.edge_types[..., step, :, :, :],
         )
 
     def dense(self) -> "StepInputs":
@@ -60,7 +65,7 @@ class StepInputs:
         frames
             Shape of the frames, against which the inputs broadcast.
         """
-        inner = {"adjacency": 2, "controls": 1, "present": 1}
+        inner = {"adjacency": 2, "controls": 1, "present": 1, "edge_types": 3}
         found = []
         for name, dims in inner.items():
             value = getattr(self.dense(), name)
@@ -72,7 +77,7 @@ class StepInputs:
     def rebuild(self, tensors: Sequence[torch.Tensor]) -> "StepInputs":
         """Return inputs with other tensors in the order of :meth:`tensors`."""
         rest = iter(tensors)
-        names = ("adjacency", "controls", "present")
+        names = ("adjacency", "controls", "present", "edge_types")
         return StepInputs(*(None if getattr(self, n) is None else next(rest) for n in names))
 
 
@@ -305,10 +310,12 @@ def _check_inputs(inputs: StepInputs, steps: int, num_individuals: int) -> None:
         "adjacency": (steps, num_individuals, num_individuals),
         "present": (steps, num_individuals),
     }
-    for name in ("adjacency", "controls", "present"):
+    for name in ("adjacency", "controls", "present", "edge_types"):
         value = getattr(inputs, name)
         if value is None:
             continue
+        if name == "edge_types":
+            expected[name] = (steps, num_individuals, num_individuals, value.shape[-1])
         if isinstance(value, EdgeList):
             shape: tuple[int, ...] = (*value.leading, value.individuals, value.individuals)
         else:
@@ -317,4 +324,5 @@ def _check_inputs(inputs: StepInputs, steps: int, num_individuals: int) -> None:
         if shape[-len(wanted) :] != wanted:
             words = "(step, control)" if name == "controls" else "(step, individual)"
             words = "(step, individual, individual)" if name == "adjacency" else words
+            words = "(step, individual, individual, type)" if name == "edge_types" else words
             raise ValueError(f"{name} must end in {words} = {wanted}, and its shape is {shape}")

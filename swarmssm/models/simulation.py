@@ -174,7 +174,12 @@ def without_last(inputs: StepInputs) -> StepInputs:
     elif graph is not None:
         graph = graph[:, :-1]
     controls = None if inputs.controls is None else inputs.controls[:, :-1]
-    return StepInputs(graph, controls, None if inputs.present is None else inputs.present[:, :-1])
+    return StepInputs(
+        graph,
+        controls,
+        None if inputs.present is None else inputs.present[:, :-1],
+        None if inputs.edge_types is None else inputs.edge_types[:, :-1],
+    )
 
 
 def fitting(name: str, value: Any, shape: tuple[int, ...]) -> torch.Tensor:

@@ -3,6 +3,7 @@
 import contextlib
 import itertools
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from typing import Any, Self
 
 import pyro
@@ -16,7 +17,7 @@ from swarmssm.errors import InputError, WorkError
 from swarmssm.graphs import EdgeList, Graph, GraphRule
 from swarmssm.models.base import SwarmModel
 from swarmssm.models.batch import SwarmBatch
-from swarmssm.models.edges import Edges, LatentEdges, ObservedEdges
+from swarmssm.models.edges import Edges, InferredEdges, LatentEdges, ObservedEdges
 from swarmssm.models.emissions.base import Emission
 from swarmssm.models.layers import check_sizes
 from swarmssm.models.markov import MarkovChain, StepInputs
@@ -64,7 +65,8 @@ class StateSpaceModel(SwarmModel):
         observed site and the transition is scored directly, on the steps of which both ends were
         seen. The first frame after a gap is scored as that of an individual that enters.
     edges
-        Where the graph comes from; absent, it is the observed one.
+        Where the graph comes from; absent, it is the observed one. Those whose types are inferred
+        (:class:`~swarmssm.models.InferredEdges`) are a further latent site, ``"edges"``.
 
     Raises
     ------
@@ -181,7 +183,7 @@ class StateSpaceModel(SwarmModel):
         there, inputs = batch.present, batch.steps()
         if self.emission is None:
             there = batch.mask
-            inputs = StepInputs(inputs.adjacency, inputs.controls, there[:, :-1])
+            inputs = replace(inputs, present=there[:, :-1])
         return self._chain(there, inputs, values, self.edges)
 
     def _chain(
@@ -235,6 +237,8 @@ class StateSpaceModel(SwarmModel):
             pyro.poutine.scale(scale=batch.window_weight),
         ):
             self._check_type(batch)
+            if isinstance(self.edges, InferredEdges):
+                batch = self.edges.put(batch, pyro.sample("edges", self.edges.prior(batch)))
             chain = self.chain(batch, values)
             if self.emission is None:
                 self._check_features(batch, self.state_dim)
@@ -469,11 +473,16 @@ class StateSpaceModel(SwarmModel):
         """Draw from the model; inputs have a value for every frame, the last one included."""
         with fixed(self, values):
             drawn = self.sample_globals()
-        chain = self._chain(there, without_last(inputs), drawn, edges, first)
+        walk = edges.walk() if isinstance(edges, InferredEdges) else None
+        chain = self._chain(there, without_last(inputs), drawn, walk or edges, first)
         states = chain.sample()
         with fixed(self, drawn):
             observations = states if self.emission is None else self.emission(states).sample()
-            graph = edges(states, inputs)
+            if walk is None:
+                graph = edges(states, inputs)
+            else:
+                walk.advance(states[:, -1], there[:, -1])
+                graph = walk.graphs()
         return Simulation(
             {name: value.detach().clone() for name, value in drawn.items()},
             states,
@@ -490,7 +499,7 @@ def _check_parts(initial: Any, transition: Any, emission: Any, edges: Any) -> No
         "initial": (initial, PyroModule, "a module that returns a distribution (InitialStates)"),
         "transition": (transition, Transition, "a Transition"),
         "emission": (emission, Emission | None, "an Emission or None"),
-        "edges": (edges, Edges | None, "ObservedEdges, LatentEdges or None"),
+        "edges": (edges, Edges | None, "ObservedEdges, LatentEdges, RelationalEdges or None"),
     }
     for name, (part, kind, words) in wanted.items():
         if not isinstance(part, kind):

@@ -2,21 +2,23 @@
 
 import json
 
+import torch
 import xarray as xr
 
 from swarmssm.errors import InputError
 from swarmssm.simulate.boids import Boids
 from swarmssm.simulate.couzin import Couzin
+from swarmssm.simulate.particles import Charged, Particles, Springs
 from swarmssm.simulate.recording import Law
 from swarmssm.simulate.vicsek import Vicsek
 
 __all__ = ["law_of"]
 
-LAWS: dict[str, type[Boids] | type[Vicsek] | type[Couzin]] = {
-    law.name: law for law in (Boids, Vicsek, Couzin)
+LAWS: dict[str, type[Boids] | type[Vicsek] | type[Couzin] | type[Particles]] = {
+    law.name: law for law in (Boids, Vicsek, Couzin, Springs, Charged)
 }
 #: What the record holds besides the parameters of the law.
-OF_THE_RECORD = ("law", "observation_noise", "burn_in", "seed")
+OF_THE_RECORD = ("law", "observation_noise", "burn_in", "switch_every", "seed")
 
 
 def law_of(tracks: xr.Dataset) -> Law:
@@ -26,6 +28,9 @@ def law_of(tracks: xr.Dataset) -> Law:
     ``law.move(positions, velocities, force)``, and one with noise
     ``law.move(positions, velocities, force, generator)``. Tensors are ``(..., individual, space)``.
 
+    Springs and charges are no function of the state: their law holds those of the tracks, which
+    must be the same in every trial and frame, as they are in one trial without a switch.
+
     Parameters
     ----------
     tracks
@@ -34,7 +39,8 @@ def law_of(tracks: xr.Dataset) -> Law:
     Raises
     ------
     InputError
-        If the tracks do not say so in ``attrs["simulation"]``.
+        If the tracks do not say so in ``attrs["simulation"]``, or what joins the particles differs
+        between their trials or frames.
     """
     text = tracks.attrs.get("simulation")
     if text is None:
@@ -45,8 +51,23 @@ def law_of(tracks: xr.Dataset) -> Law:
     try:
         settings = json.loads(text)
         law = LAWS[settings["law"]]
-        return law.from_dict({k: v for k, v in settings.items() if k not in OF_THE_RECORD})
+        found = law.from_dict({k: v for k, v in settings.items() if k not in OF_THE_RECORD})
     except (TypeError, ValueError, KeyError) as error:
         raise InputError(
             f"tracks: the attribute simulation cannot be read ({error}). Simulate them anew."
         ) from error
+    return _with_edges(found, tracks) if isinstance(found, Particles) else found
+
+
+def _with_edges(law: Particles, tracks: xr.Dataset) -> Law:
+    """Return the law of particles that are joined as in these tracks."""
+    if "edge_type" not in tracks:
+        raise InputError("tracks: they have no variable edge_type, so their law is not known.")
+    kinds = tracks["edge_type"].transpose(..., "individual", "neighbor").to_numpy()
+    kinds = kinds.reshape(-1, *kinds.shape[-2:])
+    if (kinds != kinds[0]).any():
+        raise InputError(
+            "tracks: what joins the particles differs between trials or frames, and a law has one "
+            "graph. Pick one trial, and frames without a switch."
+        )
+    return law.with_edges(torch.from_numpy(kinds[0].copy()))

@@ -22,6 +22,8 @@ __all__ = [
     "check_size",
     "check_space",
     "directions_given",
+    "generator_of",
+    "initial_state",
     "record",
 ]
 
@@ -109,12 +111,12 @@ def record(
     ):
         check_size(name, count, least)
     check_number("observation_noise", observation_noise)
-    generator = _generator(seed)
+    generator = generator_of(seed)
     positions, velocities = law.start(trials, individuals, generator)
     if initial_position is not None:
-        positions = _given("initial_position", initial_position, positions)
+        positions = initial_state("initial_position", initial_position, positions)
     if initial_velocity is not None:
-        velocities = law.begin(_given("initial_velocity", initial_velocity, velocities))
+        velocities = law.begin(initial_state("initial_velocity", initial_velocity, velocities))
 
     shape = (trials, steps, individuals, law.space)
     kept = {
@@ -188,14 +190,14 @@ def directions_given(velocities: Tensor) -> Tensor:
     return velocities / speed
 
 
-def _generator(seed: int | torch.Generator) -> torch.Generator:
+def generator_of(seed: int | torch.Generator) -> torch.Generator:
     """Return the generator, or a new one with the given seed."""
     if isinstance(seed, torch.Generator):
         return seed
     return torch.Generator().manual_seed(check_size("seed", seed, 0))
 
 
-def _given(name: str, values: npt.ArrayLike, like: Tensor) -> Tensor:
+def initial_state(name: str, values: npt.ArrayLike, like: Tensor) -> Tensor:
     """Return an initial state of the shape ``(trial, individual, space)``."""
     try:
         array = torch.as_tensor(np.array(values, dtype=np.float64))

@@ -116,8 +116,8 @@ def test_what_came_is_inside_or_not_or_unknown(tracks):
         False,
     ]
     text = sentence(fan)
-    assert "Of 9 positions that came, 89% lay inside the ellipse that should hold 90%" in text
-    assert "100% at the last step, 0.5 s ahead" in text
+    assert "Of 9 positions that came, 89 % lay inside the ellipse that should hold 90 %" in text
+    assert "100 % at the last step, 0.5 s ahead" in text
     assert "one start alone" in text
 
 
@@ -195,7 +195,7 @@ def test_a_picture_over_time_shows_bands_and_what_came(fan):
     )
     corners = axes[0, 1].collections[0].get_paths()[0].vertices
     assert corners[:, 1].max() == pytest.approx(float(fan["high"][1, 0, :, 1, 1].max()))
-    assert [text.get_text() for text in figure.legends[0].get_texts()][2:] == ["90%", "50%"]
+    assert [text.get_text() for text in figure.legends[0].get_texts()][2:] == ["90 %", "50 %"]
 
 
 def test_pictures_choose_and_refuse(fan):

@@ -137,18 +137,18 @@ def calibration_sentence(calibration: xr.Dataset) -> str:
     lost = f" {failed} further data sets failed and are not counted." if failed else ""
     if passes.all():
         return (
-            f"The ranks of all {len(names)} quantities lie within the {level:.0%} band over "
-            f"{number} simulated data sets: the posterior is as sure as it may be, as far as so "
-            f"many can tell (a share of 90 % is known to {_error(number):.1%}).{lost}"
+            f"The ranks of all {len(names)} quantities lie within the {100 * level:.0f} % band "
+            f"over {number} simulated data sets: the posterior is as sure as it may be, as far as "
+            f"so many can tell (a share of 90 % is known to {100 * _error(number):.1f} %).{lost}"
         )
     off = [
         _verdict(calibration.sel(parameter=n)) for n, ok in zip(names, passes, strict=True) if ~ok
     ]
     chance = (1.0 - level) * len(names)
     return (
-        f"Of {len(names)} quantities, {int(passes.sum())} have ranks within the {level:.0%} band "
-        f"over {number} simulated data sets, and {len(off)} not: {'; '.join(off)}. By chance "
-        f"alone one would expect {chance:.1f} outside.{lost}"
+        f"Of {len(names)} quantities, {int(passes.sum())} have ranks within the "
+        f"{100 * level:.0f} % band over {number} simulated data sets, and {len(off)} not: "
+        f"{'; '.join(off)}. By chance alone one would expect {chance:.1f} outside.{lost}"
     )
 
 
@@ -161,7 +161,7 @@ def _verdict(one: xr.Dataset) -> str:
     side = ""
     if abs(mean - 0.5) > error:
         side = ", estimates too " + ("low" if mean > 0.5 else "high")
-    return f"{one['parameter'].item()} (90 % intervals hold {coverage:.0%}{side})"
+    return f"{one['parameter'].item()} (90 % intervals hold {100 * coverage:.0f} %{side})"
 
 
 def _error(number: int) -> float:
@@ -186,6 +186,6 @@ def calibration_table(calibration: xr.Dataset) -> list[dict[str, object]]:
             "p": float(one["p_value"]),
         }
         for level in calibration["level"].values:
-            row[f"{level:.0%} intervals"] = float(one["coverage"].sel(level=level))
+            row[f"{100 * level:.0f} % intervals"] = float(one["coverage"].sel(level=level))
         rows.append(row)
     return rows

@@ -132,7 +132,7 @@ def plot_ecdf_difference(calibration: xr.Dataset, ax: Axes | None = None) -> tup
         color=BAND,
         alpha=0.25,
         linewidth=0,
-        label=f"{level:.0%} band, whole line",
+        label=f"{100 * level:.0f} % band, whole line",
     )
     ax.axhline(0.0, color=BAND, linewidth=0.8)
     names = [str(name) for name in calibration["parameter"].values]
@@ -187,7 +187,7 @@ def plot_coverage(calibration: xr.Dataset, ax: Axes | None = None) -> tuple[Figu
             markersize=3.5,
             color=colour,
             linewidth=1.2,
-            label=f"{level:.0%} intervals",
+            label=f"{100 * level:.0f} % intervals",
         )
     ax.set_yticks(rows, [short_name(name) for name in names], parse_math=False)
     ax.set_ylim(len(names) - 0.5, -0.5)

@@ -237,7 +237,13 @@ def plot_pit(pit: xr.Dataset, ax: Axes | None = None) -> tuple[Figure, Axes]:
     low, high = (pit[f"ecdf_{end}"].to_numpy() - points for end in ("low", "high"))
     level = float(pit.attrs["band_level"])
     ax.fill_between(
-        points, low, high, color=BAND, alpha=0.3, linewidth=0, label=f"{level:.0%} band, whole line"
+        points,
+        low,
+        high,
+        color=BAND,
+        alpha=0.3,
+        linewidth=0,
+        label=f"{100 * level:.0f} % band, whole line",
     )
     ax.axhline(0.0, color=BAND, linewidth=0.8)
     for index, name in enumerate(pit["parameter"].to_numpy().astype(str)):

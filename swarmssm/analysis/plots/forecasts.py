@@ -169,7 +169,7 @@ def plot_forecast_over_time(
         Line2D([], [], color=truth, linewidth=1.1, label="observed"),
         Line2D([], [], color=MODEL_COLOUR, linewidth=1.4, label="median"),
         *(
-            Patch(color=MODEL_COLOUR, alpha=shade, linewidth=0, label=f"{level:.0%}")
+            Patch(color=MODEL_COLOUR, alpha=shade, linewidth=0, label=f"{100 * level:.0f} %")
             for level, shade in zip(levels, _shades(len(levels)), strict=True)
         ),
     ]
@@ -243,7 +243,7 @@ def _shades(count: int) -> list[float]:
 def _legend(ax: Axes, fan: xr.Dataset, draws: int) -> None:
     """Say what is what, below."""
     truth = colour_of("truth")
-    levels = ", ".join(f"{float(level):.0%}" for level in np.sort(fan["level"].values))
+    levels = ", ".join(f"{100 * float(level):.0f} %" for level in np.sort(fan["level"].values))
     handles: list[Any] = [
         Line2D([], [], color=FAINT, linewidth=1.2, label="before"),
         Line2D([], [], color=truth, marker="x", linewidth=1.3, markersize=5, label="what came"),

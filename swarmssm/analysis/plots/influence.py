@@ -188,7 +188,7 @@ def plot_leadership(
         for row, chance in zip(rows, first[order], strict=True):
             if chance >= 0.005:
                 ax.annotate(
-                    f"{chance:.0%}",
+                    f"{100 * chance:.0f} %",
                     (1.01, row),
                     xycoords=("axes fraction", "data"),
                     fontsize=8,

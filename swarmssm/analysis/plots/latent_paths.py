@@ -94,7 +94,7 @@ def plot_latent_paths(
             Line2D([], [], color=colours[member], label=name)
             for name, member in zip(members, who, strict=True)
         ]
-        title = f"individual (band: {level:.0%})"
+        title = f"individual (band: {100 * level:.0f} %)"
         figure.legend(
             handles=handles, title=title, loc="outside lower center", ncols=8, frameon=False
         )

@@ -21,6 +21,8 @@ SEEN = "#7f7f7f"
 NAMES_A_LINE = 2
 LINES = 4
 RADIUS = 0.3
+#: Length of a unit on paper.
+INCHES = 0.78
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,8 @@ def plot_model(fit: Fit, ax: Axes | None = None) -> tuple[Figure, Axes]:
     -------
     Figure and axes.
     """
-    figure, ax = new_axes(ax, (6.4, 3.9))
+    own = ax is None
+    figure, ax = new_axes(ax)
     ax.set_axis_off()
     ax.set_aspect("equal")
     if isinstance(fit.model, StateSpaceModel):
@@ -64,6 +67,10 @@ def plot_model(fit: Fit, ax: Axes | None = None) -> tuple[Figure, Axes]:
         ax.text(0.0, 0.0, fit.settings.model, ha="center", va="center", parse_math=False)
         ax.set_xlim(-1, 1)
         ax.set_ylim(-0.5, 0.5)
+    if own:
+        # No more paper than is drawn on.
+        (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
+        figure.set_size_inches(INCHES * (right - left), INCHES * (high - low))
     return figure, ax
 
 

@@ -77,7 +77,7 @@ def plot_recovery(
         handles, _ = grid.flat[0].get_legend_handles_labels()
         handles.append(Line2D([], [], color=GREY, linestyle=":", label="half the 90 % interval"))
         handles.append(
-            Line2D([], [], color=GREY, linestyle="--", label=f"{tolerance:.0%} asked for")
+            Line2D([], [], color=GREY, linestyle="--", label=f"{100 * tolerance:.0f} % asked for")
         )
         figure.legend(
             handles=handles, loc="outside right center", frameon=False, fontsize=8, handlelength=1.8

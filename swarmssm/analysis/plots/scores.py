@@ -81,7 +81,7 @@ def plot_scores(
     if score == "log_score":
         unit = "nats per coordinate"
     if score == "coverage":
-        words, unit = f"{words} the {level:.0%} interval", ""
+        words, unit = f"{words} the {100 * level:.0f} % interval", ""
     label = words + (f" ({unit})" if unit else "") + (f"\n{direction}" if direction else "")
     ax.set_ylabel(label, parse_math=False)
     ax.set_xlabel("time ahead (s)")

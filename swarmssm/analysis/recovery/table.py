@@ -37,7 +37,7 @@ def recovery_table(recovery: xr.Dataset) -> list[dict[str, object]]:
             error, width = float(own["error"]), float(own["width"])
             mark = "" if error <= tolerance * ROUNDING else " !"
             row[short_name(str(name))] = (
-                f"{error:.0%} ±{width:.0%}{mark}" if error == error else "-"
+                f"{100 * error:.0f} % ±{100 * width:.0f} %{mark}" if error == error else "-"
             )
         rows.append(row)
     return rows
@@ -107,15 +107,16 @@ def recovery_sentence(recovery: xr.Dataset) -> str:
     )
     what = "gains are" if "_gain" in names[0] else "parameters are"
     verdict = (
-        f"all {what} found to within {tolerance:.0%}"
+        f"all {what} found to within {100 * tolerance:.0f} %"
         if error.max() <= tolerance * ROUNDING
-        else f"{what} not all found to within {tolerance:.0%}"
+        else f"{what} not all found to within {100 * tolerance:.0f} %"
     )
     coverage = float(own["coverage"].mean())
     return (
         f"{where}, {verdict}: the median error is largest for {short_name(names[worst])}, "
-        f"{error[worst]:.0%} over {count} simulated data sets, and 90 % intervals hold the truth "
-        f"in {coverage:.0%} of cases. For a standard deviation of {tolerance:.0%} in each, about "
+        f"{100 * error[worst]:.0f} % over {count} simulated data sets, and 90 % intervals hold the "
+        f"truth in {100 * coverage:.0f} % of cases. For a standard deviation of "
+        f"{100 * tolerance:.0f} % in each, about "
         f"{needed} frames a trial are needed."
     )
 

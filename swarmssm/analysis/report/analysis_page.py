@@ -1,7 +1,6 @@
 """The page on what a fitted model says: forces, rules, latents, influence, and how sure."""
 
 from pathlib import Path
-from typing import Any
 
 import xarray as xr
 
@@ -16,6 +15,7 @@ from swarmssm.analysis.report.facts import (
     provenance_facts,
 )
 from swarmssm.analysis.report.page import render, write_page
+from swarmssm.analysis.report.wording import setting_words
 from swarmssm.errors import InputError
 from swarmssm.files import check_output
 from swarmssm.inference import Fit
@@ -46,7 +46,7 @@ def analysis_page(
         raise InputError("analysis: there is nothing in it to report.")
     settings = {name: value for name, value in analysis.settings.items() if value not in ({}, None)}
     shown = ("part", "draws", "seed", "options", "version")
-    asked = [(name, _words(settings[name])) for name in shown if name in settings]
+    asked = [(name, setting_words(settings[name])) for name in shown if name in settings]
     return render(
         "analysis.html",
         title=title,
@@ -99,10 +99,3 @@ def report_analysis(
         source = str(tracks.attrs.get("source_file", "")) or "tracks"
         title = f"What {fit.settings.model} says of {source}"
     return write_page(analysis_page(analysis, fit, tracks, title), path, overwrite=overwrite)
-
-
-def _words(value: Any) -> str:
-    """Return a setting as text."""
-    if isinstance(value, dict):
-        return ", ".join(f"{name} {_words(one)}" for name, one in value.items())
-    return str(value)

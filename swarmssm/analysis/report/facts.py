@@ -1,12 +1,12 @@
 """What a run was made of: data, model, provenance, as labels with their text."""
 
 from collections import Counter
-from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from swarmssm.analysis.evaluation import Evaluation
+from swarmssm.analysis.report.wording import setting_words
 from swarmssm.analysis.table import NOTHING
 from swarmssm.analysis.table import format_number as number
 from swarmssm.inference import Fit
@@ -148,7 +148,7 @@ def model_facts(fit: Fit) -> Facts:
     for name, value in settings.model_dump(mode="json").items():
         if name in left or value is None or value == {}:
             continue
-        facts.append((name.replace("_", " "), _words(value)))
+        facts.append((name.replace("_", " "), setting_words(value)))
     return facts
 
 
@@ -208,7 +208,7 @@ def scoring_facts(evaluation: Evaluation) -> Facts:
     """Return how a fit was scored."""
     shown = ("part", "horizons", "origins", "free_run_steps", "starts", "draws", "seed", "edges")
     scoring = ", ".join(
-        f"{name.replace('_', ' ')} {_words(evaluation.settings[name])}" for name in shown
+        f"{name.replace('_', ' ')} {setting_words(evaluation.settings[name])}" for name in shown
     )
     return [
         ("scored with", scoring),
@@ -237,16 +237,3 @@ def _part_words(fit: Fit, part: str) -> str:
     frames = sum(s.stop - s.start for s in fit.split.part(part))
     segments = len(fit.split.part(part))
     return f"{part}: {frames} frames of {segments} trial{'s' * (segments > 1)}"
-
-
-def _words(value: Any) -> str:
-    """Return a setting as text."""
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, dict):
-        return ", ".join(f"{k} {_words(v)}" for k, v in value.items())
-    if isinstance(value, list | tuple):
-        return ", ".join(_words(v) for v in value)
-    if isinstance(value, float):
-        return f"{value:g}"
-    return str(value)

@@ -1,11 +1,21 @@
 """Words and phrases that sentences on scores are made of."""
 
 import math
+from typing import Any
 
 from swarmssm.analysis.evaluation import Evaluation
 from swarmssm.analysis.table import format_number
 
-__all__ = ["ALIKE", "better", "capital", "percent", "quantity", "times", "title_of"]
+__all__ = [
+    "ALIKE",
+    "better",
+    "capital",
+    "percent",
+    "quantity",
+    "setting_words",
+    "times",
+    "title_of",
+]
 
 #: Numbers that differ by less than this share of the larger are called equal.
 ALIKE = 0.05
@@ -46,3 +56,16 @@ def times(ratio: float) -> str:
 def quantity(value: float, unit: str) -> str:
     """Return a number with its unit."""
     return f"{format_number(value)} {unit}".rstrip()
+
+
+def setting_words(value: Any) -> str:
+    """Return a setting as text."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {setting_words(one)}" for name, one in value.items())
+    if isinstance(value, list | tuple):
+        return ", ".join(setting_words(one) for one in value)
+    if isinstance(value, float):
+        return f"{value:g}"
+    return str(value)

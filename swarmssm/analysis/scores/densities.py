@@ -9,14 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from swarmssm import metrics
-from swarmssm.analysis.forecasters import (
-    CHUNK,
-    BaselineForecaster,
-    Forecaster,
-    ModelForecaster,
-)
-from swarmssm.analysis.scores.baseline_errors import baseline_covariances
-from swarmssm.analysis.subject import Subject
+from swarmssm.analysis.forecasters import CHUNK, Forecaster, ModelForecaster
+from swarmssm.analysis.scored import Scored
 from swarmssm.metrics.log_score import (
     gaussian_log_score,
     mixture_log_score,
@@ -136,7 +130,7 @@ class NormalDensity:
 
 
 def position_scores(
-    subject: Subject,
+    subject: Scored,
     forecaster: Forecaster,
     trials: Rows,
     rows: Rows,
@@ -188,10 +182,8 @@ def position_scores(
     """
     longest = max(steps)
     chosen = np.asarray(steps) - 1
-    spread = None
-    if isinstance(forecaster, BaselineForecaster):
-        own = subject.states if training is None else training
-        spread = baseline_covariances(forecaster.baseline, own, longest, subject.fps)[chosen, None]
+    spread = forecaster.spread(subject.states if training is None else training, longest)
+    spread = None if spread is None else spread[chosen, None]
     found: dict[str, list[Array]] = {name: [] for name in scores}
     for number, batch in enumerate(batches(subject, len(rows), longest, draws)):
         truth = subject.ahead(trials[batch], rows[batch], longest)
@@ -214,7 +206,7 @@ def position_scores(
     return {name: np.concatenate(values) for name, values in found.items()}
 
 
-def batches(subject: Subject, origins: int, longest: int, draws: int) -> Iterator[Rows]:
+def batches(subject: Scored, origins: int, longest: int, draws: int) -> Iterator[Rows]:
     """Yield the origins that are forecast together, so that memory stays bounded."""
     each = draws * longest * subject.mask.shape[-1] ** 2
     size = max(1, min(ORIGINS, 5 * CHUNK // each))

@@ -48,8 +48,8 @@ def sentence(scores: xr.Dataset) -> str:
     if FLOOR in models and RIVAL in models:
         closed = float(skill(scores, RIVAL, FLOOR)["crps"].sel(model=best).isel(horizon=0))
         text += (
-            f"{_steps(int(horizons[0]))} ahead it closes {closed:.0%} of the gap between constant "
-            "velocity and the true rule. "
+            f"{_steps(int(horizons[0]))} ahead it closes {100 * closed:.0f} % of the gap between "
+            "constant velocity and the true rule. "
         )
     text += _covered(scores, best)
     trained = [str(name) for name in fits if int(scores["trained_on"].sel(model=name)) > 0]
@@ -93,8 +93,12 @@ def _covered(scores: xr.Dataset, best: str) -> str:
     level = float(levels[np.argmin(np.abs(levels - LEVEL))])
     row = score_table(scores, "coverage", level).sel(model=best).to_numpy()
     low, high = float(np.nanmin(row)), float(np.nanmax(row))
-    share = f"{low:.0%}" if f"{low:.0%}" == f"{high:.0%}" else f"{low:.0%} to {high:.0%}"
-    text = f"Its {level:.0%} intervals hold {share} of what came"
+    share = (
+        f"{100 * low:.0f} %"
+        if f"{100 * low:.0f} %" == f"{100 * high:.0f} %"
+        else f"{100 * low:.0f} % to {100 * high:.0f} %"
+    )
+    text = f"Its {100 * level:.0f} % intervals hold {share} of what came"
     if low < level - TOLERANCE and high > level + TOLERANCE:
         return text + ": too narrow at some horizons, too wide at others."
     if low < level - TOLERANCE:

@@ -65,6 +65,8 @@ def _told(found: "xr.Dataset", study: Study) -> tuple[str, dict[str, list[dict[s
 
     if study is Study.calibration:
         return calibration_sentence(found), {"": calibration_table(found)}
-    title = f"median error ± half the 90 % interval (! beyond {found.attrs['tolerance']:.0%})"
+    title = (
+        f"median error ± half the 90 % interval (! beyond {100 * found.attrs['tolerance']:.0f} %)"
+    )
     tables = {title: recovery_table(found), "good enough at": recovery_needs(found)}
     return recovery_sentence(found), tables

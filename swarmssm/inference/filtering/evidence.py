@@ -183,6 +183,7 @@ def _beginning(batch: SwarmBatch, frames: int) -> SwarmBatch:
         else adjacency.select(1, 0, frames),
         present=batch.present[:, :frames],
         controls=None if batch.controls is None else batch.controls[:, :frames],
+        edge_types=None if batch.edge_types is None else batch.edge_types[:, :frames],
     )
 
 

@@ -7,8 +7,9 @@ import pyro
 import pyro.distributions as dist
 import torch
 
+from swarmssm.inference.guides.edges import EdgeGuide
 from swarmssm.inference.guides.parameters import GlobalGuide
-from swarmssm.models import StateSpaceModel, SwarmBatch, SwarmModel
+from swarmssm.models import InferredEdges, StateSpaceModel, SwarmBatch, SwarmModel
 from swarmssm.models.parts import Part
 
 __all__ = ["OneStepGuide", "ParameterGuide", "PathGuide", "SwarmGuide"]
@@ -67,7 +68,9 @@ class PathGuide(SwarmGuide):
     r"""A guide of a :class:`swarmssm.models.StateSpaceModel`:
     :math:`q(\theta)\, q(z_{1:T} \mid x_{1:T}, \theta)`.
 
-    A subclass writes :meth:`path`.
+    Where the model's edges are inferred, an
+    :class:`~swarmssm.inference.guides.edges.EdgeGuide` draws them first, and all that follows is
+    given windows that have edges. A subclass writes :meth:`path`.
 
     Parameters
     ----------
@@ -85,6 +88,9 @@ class PathGuide(SwarmGuide):
         # In a list, or the model would be a part of the guide and saved and trained twice.
         self._model = [model]
         self.parameters_guide = GlobalGuide(model, parameters)
+        self.has_edges = isinstance(model.edges, InferredEdges)
+        if isinstance(model.edges, InferredEdges):
+            self.edges_guide = EdgeGuide(model.edges)
 
     @classmethod
     def for_model(cls, model: SwarmModel, **options: Any) -> Self:
@@ -97,6 +103,18 @@ class PathGuide(SwarmGuide):
     def model(self) -> StateSpaceModel:
         """The model whose posterior this is."""
         return self._model[0]
+
+    def with_edges(self, batch: SwarmBatch, *, sample: bool = True) -> SwarmBatch:
+        """Return windows with inferred edges, as all other methods want them.
+
+        Parameters
+        ----------
+        batch
+            Windows; those of a model with other edges are left as they are.
+        sample
+            Whether edges are drawn, or have the probabilities of their types.
+        """
+        return self.edges_guide.draw(batch, sample=sample) if self.has_edges else batch
 
     def path(
         self, batch: SwarmBatch, values: Mapping[str, torch.Tensor]
@@ -191,15 +209,19 @@ class PathGuide(SwarmGuide):
         return torch.unflatten(states, 0, (MEAN_DRAWS, len(batch))).mean(0)
 
     def forward(self, batch: SwarmBatch) -> None:
-        """Sample the parameters, then the paths."""
+        """Sample the parameters, the edges if they are inferred, and the paths."""
         values = self.parameters_guide()
-        if self.model.emission is None:
+        if self.model.emission is None and not self.has_edges:
             return
         rows = torch.arange(len(batch), device=batch.mask.device)
         with (
             pyro.plate("windows", batch.population, subsample=rows, dim=-1),
             pyro.poutine.scale(scale=batch.window_weight),
         ):
+            if self.has_edges:
+                batch = self.edges_guide(batch)
+            if self.model.emission is None:
+                return
             states, log_density = self.path(batch, values)
             pyro.sample("states", dist.Delta(states, log_density=log_density, event_dim=3))
 

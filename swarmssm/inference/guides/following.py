@@ -167,7 +167,7 @@ class FollowingGuide(PathGuide):
         sightings = self._sightings(batch, reference, variance)
         with contextlib.nullcontext() if self.differentiates_law else torch.no_grad():
             law = self._law(batch, reference, variance)
-        inputs = StepInputs(batch.adjacency, batch.controls, batch.present)
+        inputs = StepInputs(batch.adjacency, batch.controls, batch.present, batch.edge_types)
         graph = self.model.edges(reference, inputs)
         nodes = self._nodes(batch, reference, mean, variance, sightings, law)
         told = self.correct(self.context(nodes, graph, batch.present))
@@ -250,6 +250,7 @@ class FollowingGuide(PathGuide):
             _first_step(graph),
             None if steps.controls is None else steps.controls[:, :1],
             None if steps.present is None else steps.present[:, :1],
+            None if steps.edge_types is None else steps.edge_types[:, :1],
         )
         if batch.num_times > 1:
             noise = self._noise(self.model.step(about[:, :1], first), variance[:, :1])

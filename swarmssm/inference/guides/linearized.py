@@ -19,7 +19,7 @@ from swarmssm.inference.filtering.layouts import JOINT_LIMIT, Frames, Layout, Po
 from swarmssm.inference.filtering.matrices import root
 from swarmssm.inference.filtering.paths import draw_paths, path_log_density
 from swarmssm.inference.guides.base import PathGuide
-from swarmssm.models import KinematicTransition, StateSpaceModel, SwarmBatch
+from swarmssm.models import InferredEdges, KinematicTransition, StateSpaceModel, SwarmBatch
 
 __all__ = ["Globals", "LinearizedGuide"]
 
@@ -54,7 +54,8 @@ class LinearizedGuide(PathGuide):
     globals
         How the parameters with a prior are fitted: ``"laplace"``, by a normal about the most
         probable values on the unconstrained scale; ``"multivariate"`` or ``"normal"``, by
-        stochastic variational inference with or without correlations.
+        stochastic variational inference with or without correlations, as always where edges are
+        inferred: then ``"laplace"`` stands for ``"multivariate"``.
     layout
         ``"joint"``, ``"blocks"`` or ``"auto"``, see
         :func:`swarmssm.inference.filtering.collapsed_evidence`.
@@ -88,6 +89,9 @@ class LinearizedGuide(PathGuide):
             raise InputError(f"globals: choose {', '.join(get_args(Globals))}, not {globals!r}.")
         if layout not in get_args(Layout):
             raise InputError(f"layout: choose {', '.join(get_args(Layout))}, not {layout!r}.")
+        if globals == "laplace" and isinstance(model.edges, InferredEdges):
+            # An encoder of edges has too many weights for a matrix of curvatures.
+            globals = "multivariate"
         super().__init__(model, "multivariate" if globals == "laplace" else globals)
         self.globals = globals
         self.layout: Layout = layout

@@ -10,6 +10,7 @@ from typing import Any, ParamSpec, TypeVar
 import torch
 
 from swarmssm.inference.data import Prepared
+from swarmssm.models.edges import EdgeMemory
 from swarmssm.models.parts import own_parameters
 
 __all__ = ["Beginning", "Kernels", "Predictor", "Trajectory", "owning", "seeded"]
@@ -36,6 +37,8 @@ class Beginning:
     parameters
         For each draw the values of the parameters that have a posterior; ``None``: the middle of
         the posterior.
+    edges
+        What is known of edges whose types are inferred; ``None`` for other edges.
     """
 
     states: torch.Tensor
@@ -43,6 +46,7 @@ class Beginning:
     present: torch.Tensor
     unscaled: torch.Tensor
     parameters: tuple[Mapping[str, torch.Tensor], ...] | None = None
+    edges: EdgeMemory | None = None
 
 
 @dataclass(frozen=True)
@@ -57,11 +61,15 @@ class Trajectory:
         ``(..., step, individual, individual)``: that the edge is there after the step.
     adjacency
         Same shape, of bool: the graph on which the step after it runs.
+    edge_types
+        Types of inferred edges on which the step itself ran, ``(..., step, individual, individual,
+        type)``; ``None`` for other edges.
     """
 
     states: torch.Tensor
     edge_probability: torch.Tensor
     adjacency: torch.Tensor
+    edge_types: torch.Tensor | None = None
 
 
 @dataclass(frozen=True)

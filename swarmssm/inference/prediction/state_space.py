@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import pyro
@@ -14,8 +15,9 @@ from swarmssm.inference.data import Prepared, frames_of
 from swarmssm.inference.guides import LinearizedGuide, PathGuide
 from swarmssm.inference.guides.base import MEAN_DRAWS
 from swarmssm.inference.prediction.base import Beginning, Kernels, Predictor, Trajectory, owning
+from swarmssm.inference.prediction.over_draws import OverDraws, in_pieces
 from swarmssm.inference.starting import MAX_CARRY
-from swarmssm.models import ObservedEdges, StateSpaceModel, StepInputs, SwarmBatch
+from swarmssm.models import InferredEdges, ObservedEdges, StateSpaceModel, StepInputs, SwarmBatch
 from swarmssm.models.parameters import priors_of
 from swarmssm.scaling import Scaler
 
@@ -93,7 +95,7 @@ class StateSpacePredictor(Predictor):
         pieces, values = [], self._middle()
         with pyro.validation_enabled(False):
             for batch, kept in self._pieces(prepared):
-                mean = self.guide.mean_path(batch, values)
+                mean = self.guide.mean_path(self.guide.with_edges(batch, sample=False), values)
                 mean = mean.masked_fill(~batch.present.unsqueeze(-1), torch.nan)
                 pieces.append(mean[:, kept])
         return torch.cat(pieces, 1)
@@ -133,12 +135,59 @@ class StateSpacePredictor(Predictor):
         if isinstance(guide, PathGuide):
             if not priors_of(self.model):
                 return self._draw(batch, len(values))
+            if guide.has_edges:
+                return torch.stack([guide.path(guide.with_edges(batch), v)[0] for v in values])
             return guide.paths(batch, values)
         paths = []
         for value in values:
             held = pyro.poutine.condition(guide, data=dict(value))
             paths.append(pyro.poutine.trace(held).get_trace(batch).nodes["states"]["value"])
         return torch.stack(paths)
+
+    @owning
+    @torch.no_grad()
+    def edge_probabilities(self, prepared: Prepared) -> torch.Tensor:
+        """Return the probability of each type of each pair, given all frames.
+
+        Types that are fixed over a window are told by windows one after the other, of the length
+        that the fit had.
+
+        Returns
+        -------
+        ``(trial, time, individual, individual, type)``; NaN where the two are not there.
+
+        Raises
+        ------
+        InputError
+            If the model's edges are not inferred.
+        """
+        edges, guide = self.model.edges, self.guide
+        if not isinstance(edges, InferredEdges) or not isinstance(guide, PathGuide):
+            raise InputError(
+                "edges: their probabilities are those of inferred edges and a PathGuide; fit with "
+                "--edges relational or dynamic-relational."
+            )
+        found = []
+        pieces = self._windows(prepared) if edges.is_static else self._pieces(prepared)
+        for batch, kept in pieces:
+            law = guide.edges_guide.posterior(batch)
+            known = law.mean.masked_fill(~law.pairs.unsqueeze(-1), torch.nan)
+            known = known.expand(-1, batch.num_times, -1, -1, -1)
+            there = (batch.present.unsqueeze(-1) & batch.present.unsqueeze(-2))[..., None]
+            found.append(torch.where(there, known, torch.nan)[:, kept])
+        return torch.cat(found, 1)
+
+    def _windows(self, prepared: Prepared) -> Iterator[tuple[SwarmBatch, slice]]:
+        """Yield windows of the fit's length over whole trials, and which frames to keep."""
+        num_trials, num_times = prepared.mask.shape[:2]
+        trials, length = torch.arange(num_trials), min(self.window, num_times)
+        for first in range(0, num_times, length):
+            # The last window ends with the trial, and so begins within the one before.
+            start = min(first, num_times - length)
+            yield (
+                frames_of(prepared, trials, torch.full_like(trials, start), length),
+                slice(first - start, length),
+            )
 
     def _pieces(self, prepared: Prepared) -> Iterator[tuple[SwarmBatch, slice]]:
         """Yield overlapping windows over whole trials, and which of their frames to keep."""
@@ -158,7 +207,8 @@ class StateSpacePredictor(Predictor):
         num_trials, num_times, individuals = prepared.mask.shape
         trials = torch.arange(num_trials).repeat_interleave(num_times)
         rows = torch.arange(num_times).repeat(num_trials)
-        size = max(1, CHUNK // (self.window * individuals * max(individuals, 16)))
+        width = self.model.edges.hidden if isinstance(self.model.edges, InferredEdges) else 1
+        size = max(1, CHUNK // (self.window * individuals * max(individuals, 16) * width))
         whole = None if sample else self._begin_everywhere(prepared)
         states, edges = [], []
         for index in torch.split(torch.arange(len(rows)), size):
@@ -182,7 +232,7 @@ class StateSpacePredictor(Predictor):
     @torch.no_grad()
     def _begin_everywhere(self, prepared: Prepared) -> Beginning | None:
         """Return the filtered mean at every frame, if the guide can filter whole trials at once."""
-        if not isinstance(self.guide, LinearizedGuide):
+        if not isinstance(self.guide, LinearizedGuide) or self.guide.has_edges:
             return None
         trials = torch.arange(len(prepared.mask))
         batch = frames_of(prepared, trials, torch.zeros_like(trials), prepared.mask.shape[1])
@@ -209,6 +259,8 @@ class StateSpacePredictor(Predictor):
     ) -> Beginning:
         """Filter the histories that end at given frames; see :meth:`Predictor.begin`."""
         batch = self._histories(prepared, trials, rows, carry)
+        if isinstance(self.model.edges, InferredEdges):
+            return self._begin_with_edges(batch, draws)
         present = batch.present[:, -1]
         graph = dense(batch.adjacency, batch.observations.dtype)[:, -1]
         shape = (draws,) * bool(draws)
@@ -220,6 +272,32 @@ class StateSpacePredictor(Predictor):
             states, values = self._last_states(batch, draws)
         return self._beginning(states, present, graph, values)
 
+    def _begin_with_edges(self, batch: SwarmBatch, draws: int) -> Beginning:
+        """Infer edges from histories, and where the swarms are given these."""
+        guide = self.guide
+        if not isinstance(guide, PathGuide):
+            raise InputError("guide: one of inferred edges must be a PathGuide.")
+        origins, shape = len(batch), (draws,) * bool(draws)
+        many = batch.select(torch.arange(origins).repeat(max(draws, 1)))
+        values = self._draw_parameters(draws)
+        with pyro.validation_enabled(False):
+            many = guide.with_edges(many, sample=bool(draws))
+            if self.model.emission is None:
+                states = many.observations[:, -1]
+            elif not draws:
+                states = guide.last_state(many, self._middle(), 0)
+            elif values is None:
+                states = guide.last_state(many, self._middle(), 1)[0]
+            else:
+                each = [torch.arange(d * origins, (d + 1) * origins) for d in range(draws)]
+                pairs = zip(each, values, strict=True)
+                states = torch.cat([guide.last_states(many.select(i), (v,))[0] for i, v in pairs])
+            known = guide.edges_guide.memory(many).reshape((*shape, origins))
+        states = states.reshape(*shape, origins, *states.shape[1:])
+        graph = dense(many.adjacency)[:, -1].reshape(*states.shape[:-1], states.shape[-2])
+        start = self._beginning(states, batch.present[:, -1], graph, values)
+        return replace(start, edges=known)
+
     def _beginning(
         self,
         states: torch.Tensor,
@@ -229,7 +307,7 @@ class StateSpacePredictor(Predictor):
     ) -> Beginning:
         """Put a beginning together; the graph is made anew where the rule is known."""
         present = present.expand(states.shape[:-1])
-        graph = self._graph(states, present, graph.expand(*present.shape, present.shape[-1]))
+        graph = self._graph({}, states, present, graph.expand(*present.shape, present.shape[-1]))
         own = self.scaler.inverse_tensor(states.to(torch.float64))
         own = own.masked_fill(~present.unsqueeze(-1), torch.nan)
         return Beginning(states, graph, present, own, values)
@@ -248,7 +326,7 @@ class StateSpacePredictor(Predictor):
 
         With ``carry``, who was seen at most :data:`MAX_CARRY` frames before the end is there.
         """
-        exact = self.model.emission is None
+        exact = self.model.emission is None and not isinstance(self.model.edges, InferredEdges)
         length = 1 if exact else self.window
         batch = frames_of(prepared, trials, rows - (length - 1), length)
         reach = MAX_CARRY + 1 if carry else 1
@@ -261,7 +339,7 @@ class StateSpacePredictor(Predictor):
         with torch.no_grad(), pyro.validation_enabled(False):
             if isinstance(self.guide, PathGuide) and not priors_of(self.model):
                 many = batch.select(torch.arange(len(batch)).repeat(draws))
-                path, _ = self.guide.path(many, {})
+                path, _ = self.guide.path(self.guide.with_edges(many), {})
                 return torch.unflatten(path, 0, (draws, len(batch)))
             return torch.stack([self._trace(batch)[0] for _ in range(draws)])
 
@@ -307,81 +385,137 @@ class StateSpacePredictor(Predictor):
 
         Later graphs are those of the model's own edges, or made by the rule from the states.
         """
+        if isinstance(self.model.edges, InferredEdges):
+            return self._run_with_edges(beginning, steps, sample)
+        gone = ~beginning.present.unsqueeze(-1)
+        states = beginning.states.masked_fill(gone, 0.0)
+        graph = beginning.adjacency.to(states.dtype)
+        advance = self._with_parameters(beginning, partial(self._advance, sample=sample))
+        connect = self._connect(beginning)
+        frames, graphs = [], []
+        for _ in range(steps):
+            states = advance(states, graph, beginning.present).masked_fill(gone, 0.0)
+            graph = connect(states, beginning.present, graph)
+            frames.append(states.masked_fill(gone, torch.nan))
+            graphs.append(graph)
+        adjacency = torch.stack(graphs, dim=-3)
+        return Trajectory(torch.stack(frames, dim=-3), adjacency, adjacency.bool())
+
+    def _run_with_edges(self, beginning: Beginning, steps: int, sample: bool) -> Trajectory:
+        """Run on edges whose types are inferred, and change as the swarm goes on."""
         if beginning.parameters is None:
-            return self._run(beginning, self._middle(), steps, sample)
+            return self._walk(beginning, self._middle(), steps, sample)
         parts = [
-            self._run(_one_draw(beginning, draw), values, steps, sample)
+            self._walk(_one_draw(beginning, draw), values, steps, sample)
             for draw, values in enumerate(beginning.parameters)
         ]
+        names = ("states", "edge_probability", "adjacency", "edge_types")
+        return Trajectory(*(torch.stack([getattr(part, n) for part in parts]) for n in names))
+
+    def _walk(self, start: Beginning, values: Values, steps: int, sample: bool) -> Trajectory:
+        """Run on inferred edges with given parameters."""
+        edges = self.model.edges
+        assert isinstance(edges, InferredEdges)
+        gone = ~start.present.unsqueeze(-1)
+        states = start.states.masked_fill(gone, 0.0)
+        inputs = StepInputs(None, None, start.present)
+        frames, probabilities, types = [], [], []
+        with self.model.fixed(values), pyro.validation_enabled(False):
+            walk = edges.walk(start.edges, sample=sample)
+            if start.edges is None:
+                walk.advance(states, start.present)
+            for _ in range(steps):
+                types.append(walk.types)
+                following = self.model.transition(states, walk.here(inputs))
+                moved = following.sample() if sample else following.mean
+                states = moved.masked_fill(gone, 0.0)
+                walk.advance(states, start.present)
+                frames.append(states.masked_fill(gone, torch.nan))
+                probabilities.append(edges.interacting(walk.types))
+        probability = torch.stack(probabilities, dim=-3)
         return Trajectory(
-            *(
-                torch.stack([getattr(part, name) for part in parts])
-                for name in ("states", "edge_probability", "adjacency")
-            )
+            torch.stack(frames, dim=-3), probability, probability > 0.5, torch.stack(types, dim=-4)
         )
 
     @owning
     @torch.no_grad()
     def kernels(self, beginning: Beginning, steps: int) -> Kernels:
         """Draw futures, and return what each expects; see :meth:`Predictor.kernels`."""
-        if beginning.parameters is None:
-            return self._kernels(beginning, self._middle(), steps)
-        parts = [
-            self._kernels(_one_draw(beginning, draw), values, steps)
-            for draw, values in enumerate(beginning.parameters)
-        ]
-        return Kernels(
-            torch.stack([part.location for part in parts]),
-            torch.stack([part.variance for part in parts]),
-            min(part.degrees for part in parts),
-        )
-
-    def _kernels(self, start: Beginning, values: Values, steps: int) -> Kernels:
-        """Return kernels with given parameters."""
-        path = self._run(start, values, steps, sample=True)
-        before = torch.cat([start.states.unsqueeze(-3), path.states[..., :-1, :, :]], dim=-3)
-        first = start.adjacency.to(path.edge_probability.dtype).unsqueeze(-3)
+        path = self.run(beginning, steps, sample=True)
+        before = torch.cat([beginning.states.unsqueeze(-3), path.states[..., :-1, :, :]], dim=-3)
+        first = beginning.adjacency.to(path.edge_probability.dtype).unsqueeze(-3)
         graph = torch.cat([first, path.edge_probability[..., :-1, :, :]], dim=-3)
-        present = start.present.unsqueeze(-2).expand(before.shape[:-1])
+        present = beginning.present.unsqueeze(-2).expand(before.shape[:-1])
         gone = ~present.unsqueeze(-1)
-        inputs = StepInputs(graph, None, present)
-        space = before.shape[-1] // 2
+        tensors = [before.masked_fill(gone, 0.0), graph, present]
+        if path.edge_types is not None:
+            tensors.append(path.edge_types)
+        if beginning.parameters is None:
+            found = in_pieces(partial(self._foresee, self._middle()), tensors)
+        else:
+            found = OverDraws(self._foresee, beginning.parameters)(*tensors)
+        location, variance, degrees = found
+        return Kernels(location.masked_fill(gone, torch.nan), variance, float(degrees.min()))
+
+    def _with_parameters(
+        self, beginning: Beginning, function: Callable[..., Any]
+    ) -> Callable[..., Any]:
+        """Return a function of tensors alone: the parameters are those that a beginning has."""
+        if beginning.parameters is None:
+            return partial(function, self._middle())
+        return OverDraws(function, beginning.parameters)
+
+    def _advance(
+        self,
+        values: Values,
+        states: torch.Tensor,
+        graph: torch.Tensor,
+        present: torch.Tensor,
+        *,
+        sample: bool,
+    ) -> torch.Tensor:
+        """Return the next states, drawn or expected, with given parameters."""
         with self.model.fixed(values), pyro.validation_enabled(False):
-            following = self.model.step(before.masked_fill(gone, 0.0), inputs)
+            following = self.model.step(states, StepInputs(graph, None, present))
+            moved: torch.Tensor = following.sample() if sample else following.mean
+        return moved
+
+    def _foresee(
+        self,
+        values: Values,
+        states: torch.Tensor,
+        graph: torch.Tensor,
+        present: torch.Tensor,
+        types: torch.Tensor | None = None,
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Return mean and variance of the position seen after a step, and degrees of freedom."""
+        space = states.shape[-1] // 2
+        with self.model.fixed(values), pyro.validation_enabled(False):
+            following = self.model.step(states, StepInputs(graph, None, present, types))
             location, variance = following.mean[..., :space], following.variance[..., :space]
             if self.model.emission is not None:
                 variance = variance + self.model.emission(following.mean).variance[..., :space]
         inner = getattr(following, "velocity", following)
         inner = getattr(inner, "base_dist", inner)
         degrees = getattr(inner, "degrees", getattr(inner, "df", None))
-        return Kernels(
-            location.masked_fill(gone, torch.nan),
-            variance.expand(location.shape),
-            math.inf if degrees is None else float(degrees.min()),
-        )
+        if degrees is None:
+            degrees = states.new_tensor(math.inf)
+        return location, variance.expand(location.shape), degrees.min().reshape(1)
 
-    def _run(self, start: Beginning, values: Values, steps: int, sample: bool) -> Trajectory:
-        """Run with given parameters."""
-        gone = ~start.present.unsqueeze(-1)
-        states, graph = start.states.masked_fill(gone, 0.0), start.adjacency.to(start.states.dtype)
-        frames, graphs = [], []
-        with self.model.fixed(values), pyro.validation_enabled(False):
-            for _ in range(steps):
-                following = self.model.step(states, StepInputs(graph, None, start.present))
-                moved = following.rsample() if sample else following.mean
-                states = moved.masked_fill(gone, 0.0)
-                graph = self._graph(states, start.present, graph)
-                frames.append(states.masked_fill(gone, torch.nan))
-                graphs.append(graph)
-        adjacency = torch.stack(graphs, dim=-3)
-        return Trajectory(torch.stack(frames, dim=-3), adjacency, adjacency.bool())
+    def _connect(self, beginning: Beginning) -> Callable[..., torch.Tensor]:
+        """Return a function that makes the graph of states, see :meth:`_graph`."""
+        if any(name.startswith("edges.") for name in priors_of(self.model)):
+            return self._with_parameters(beginning, self._graph)
+        # All draws are one batch, whatever the rule is made of.
+        return partial(self._graph, {})
 
     def _graph(
-        self, states: torch.Tensor, present: torch.Tensor, graph: torch.Tensor
+        self, values: Values, states: torch.Tensor, present: torch.Tensor, graph: torch.Tensor
     ) -> torch.Tensor:
         """Return the graph of states; the one before where no rule is known."""
         if not isinstance(self.model.edges, ObservedEdges):
-            own = self.model.edges(states, StepInputs(graph, None, present))
+            with self.model.fixed(values), pyro.validation_enabled(False):
+                own = self.model.edges(states, StepInputs(graph, None, present))
             if isinstance(own, torch.Tensor):
                 return own.to(states.dtype)
         if self.rule is None:
@@ -398,4 +532,5 @@ def _one_draw(beginning: Beginning, draw: int) -> Beginning:
         beginning.adjacency[draw],
         beginning.present[draw],
         beginning.unscaled[draw],
+        edges=None if beginning.edges is None else beginning.edges[draw],
     )

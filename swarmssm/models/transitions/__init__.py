@@ -10,6 +10,7 @@ from swarmssm.models.transitions.linear_force import LinearForceTransition
 from swarmssm.models.transitions.radial_basis import PowerBasis, RadialBasis, SplineBasis
 from swarmssm.models.transitions.social import ForceTransition
 from swarmssm.models.transitions.soft_limits import SoftSpeedLimits
+from swarmssm.models.transitions.typed import TypedKinematicTransition, TypedTransition, typed
 
 __all__ = [
     "BoidsTransition",
@@ -26,4 +27,7 @@ __all__ = [
     "SoftSpeedLimits",
     "SplineBasis",
     "Transition",
+    "TypedKinematicTransition",
+    "TypedTransition",
+    "typed",
 ]

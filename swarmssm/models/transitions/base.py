@@ -1,18 +1,20 @@
 """What every transition offers: the distribution of the next states, and its linearisation."""
 
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Any, ClassVar, NamedTuple
 
 import torch
 from pyro.distributions import MultivariateStudentT, TorchDistribution
 from torch.func import jacfwd, vmap
 
+from swarmssm.graphs import dense
 from swarmssm.models.batch import SwarmBatch
 from swarmssm.models.kinematic import Kinematic
 from swarmssm.models.layers import check_sizes
 from swarmssm.models.markov import StepInputs
 from swarmssm.models.parts import Part
 
-__all__ = ["KinematicTransition", "Linearization", "Transition", "covariance_of"]
+__all__ = ["KinematicTransition", "Linearization", "Transition", "covariance_of", "middle_of"]
 
 
 class Linearization(NamedTuple):
@@ -84,6 +86,35 @@ class Transition(Part):
         Batch shape ``(..., individual)``, event shape ``(state,)``.
         """
         raise TypeError(f"{type(self).__name__} must define forward(states, inputs)")
+
+    #: Parameters that :meth:`social` does without.
+    own_names: ClassVar[tuple[str, ...]] = ()
+
+    def social(self, states: torch.Tensor, inputs: StepInputs) -> torch.Tensor:
+        """Return what neighbours change the middle of the free features by.
+
+        Before limits of speed, if there are any. Here the difference between the law with the graph
+        and without any edges; a subclass that adds forces up has it at once.
+
+        Parameters
+        ----------
+        states, inputs
+            As in :meth:`forward`, with an adjacency.
+
+        Returns
+        -------
+        ``(..., individual, free_dim)``.
+        """
+        assert inputs.adjacency is not None, "neighbours are those of a graph"
+        graph = dense(inputs.adjacency, states.dtype)
+        alone = replace(inputs, adjacency=torch.zeros_like(graph))
+        return middle_of(self(states, inputs)) - middle_of(self(states, alone))
+
+    def forget_own(self) -> None:
+        """Give up the parameters that :meth:`social` does without, and their priors."""
+        for name in self.own_names:
+            if name in self._pyro_samples or hasattr(self, name):
+                delattr(self, name)
 
     def augmented(self, batch: SwarmBatch) -> SwarmBatch:
         """Return windows for a step of training: themselves, or where the law of motion has
@@ -238,6 +269,18 @@ class KinematicTransition(Transition):
         first = first.unsqueeze(-3)
         positions = first[..., : self.space] + self.dt * torch.cumsum(free, dim=-3)
         return torch.cat([first, torch.cat([positions, free], dim=-1)], dim=-3)
+
+
+def middle_of(following: TorchDistribution) -> torch.Tensor:
+    """Return the location of next states; of bodies, that of their next velocities.
+
+    Of a distribution that is limited in speed, the one before the limits.
+    """
+    if isinstance(following, Kinematic):
+        return middle_of(following.velocity)
+    inner: Any = getattr(following, "base_dist", following)
+    location: torch.Tensor = getattr(inner, "loc", None)  # type: ignore[assignment]
+    return following.mean if location is None else location
 
 
 def covariance_of(distribution: TorchDistribution) -> torch.Tensor:

@@ -1,6 +1,6 @@
 """The linear-Gaussian swarm, which can be solved exactly."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import pyro.distributions as dist
 import torch
@@ -58,6 +58,15 @@ class LinearTransition(Transition):
                 whole = torch.eye(state_dim) if shape == square else torch.ones(state_dim)
                 value = value * whole
             assign(self, name, value, constraint=constraint, shapes=[shape])
+
+    #: See :class:`~swarmssm.models.Transition`.
+    own_names: ClassVar[tuple[str, ...]] = ("matrix", "offset", "noise_tril")
+
+    def social(self, states: torch.Tensor, inputs: StepInputs) -> torch.Tensor:
+        """Return what the mean of the neighbours adds to the next state."""
+        assert inputs.adjacency is not None, "neighbours are those of a graph"
+        pull: torch.Tensor = pull_to_neighbors(states, inputs.adjacency) @ self.coupling.mT
+        return pull
 
     def forward(self, states: torch.Tensor, inputs: StepInputs) -> dist.MultivariateNormal:
         """Return the distribution of the next states."""

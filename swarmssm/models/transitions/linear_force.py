@@ -1,6 +1,6 @@
 """Linear forces between neighbours: a law of motion with few parameters that is solved exactly."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import pyro.distributions as dist
 import torch
@@ -71,6 +71,17 @@ class LinearForceTransition(KinematicTransition):
         positive = constraints.positive
         assign(self, "process_noise", process_noise, constraint=positive, shapes=[(), (-1,)])
         assign(self, "home", home, shapes=[(), (space,)])
+
+    #: See :class:`~swarmssm.models.Transition`.
+    own_names: ClassVar[tuple[str, ...]] = ("damping", "process_noise", "homing_gain", "home")
+
+    def social(self, states: Tensor, inputs: StepInputs) -> Tensor:
+        """Return what the mean of the neighbours adds to the next velocity."""
+        assert inputs.adjacency is not None, "neighbours are those of a graph"
+        pull = pull_to_neighbors(states, inputs.adjacency)
+        force = self.cohesion_gain.unsqueeze(-1) * pull[..., : self.space]
+        force = force + self.alignment_gain.unsqueeze(-1) * pull[..., self.space :]
+        return self.dt * force
 
     def velocity(
         self, positions: Tensor, velocities: Tensor, inputs: StepInputs

@@ -1,7 +1,7 @@
 """Laws of motion made of forces: social ones, walls, speed regulation, limits of speed, noise."""
 
 import math
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, ClassVar, Literal, NamedTuple, get_args
 
 import pyro.distributions as dist
 import torch
@@ -205,6 +205,30 @@ class ForceTransition(KinematicTransition):
             Factor of it all, best put into the gains, which are the smallest tensors.
         """
         raise TypeError(f"{type(self).__name__} must define social_derivative")
+
+    def social(self, states: Tensor, inputs: StepInputs) -> Tensor:
+        """Return what the social forces add to the next velocity."""
+        found = self.social_forces(states, self._graph(states, inputs)).sum(-3)
+        if inputs.present is not None:
+            found = found * inputs.present.unsqueeze(-1).to(found.dtype)
+        return self._rate * found
+
+    #: See :class:`~swarmssm.models.Transition`.
+    own_names: ClassVar[tuple[str, ...]] = (
+        "wall_gain",
+        "half_width",
+        "center",
+        "relaxation_gain",
+        "preferred_speed",
+        "min_speed",
+        "max_speed",
+        "process_noise",
+    )
+
+    def forget_own(self) -> None:
+        """Give up walls, speed regulation, limits and noise."""
+        super().forget_own()
+        self.has_wall = self.has_regulation = self.has_low = self.has_high = False
 
     @property
     def has_limits(self) -> bool:

@@ -107,7 +107,7 @@ def test_sentences_say_what_is_wrong(toy):
         calibration_of_ranks({"exact": conjugate_ranks(200, 199)}, 199)
     )
     sentence = calibration_sentence(toy)
-    assert "Of 4 quantities, 1 have ranks within the 95% band over 200" in sentence
+    assert "Of 4 quantities, 1 have ranks within the 95 % band over 200" in sentence
     assert "too_high (90 % intervals hold" in sentence
     assert "estimates too high" in sentence
     assert "estimates too low" not in sentence

@@ -42,7 +42,7 @@ def test_the_line_is_the_difference_from_uniform(ranks):
     # All 80 ranks are 3: nobody is below 3 or less, all are below 4 and more.
     assert line.get_ydata()[2] == pytest.approx(-0.03)
     assert line.get_ydata()[3] == pytest.approx(1 - 0.04)
-    assert "95% band" in ax.get_legend().get_texts()[0].get_text()
+    assert "95 % band" in ax.get_legend().get_texts()[0].get_text()
     figure.canvas.draw()
 
 

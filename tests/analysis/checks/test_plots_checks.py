@@ -86,7 +86,7 @@ def test_order_parameters_over_time(checked):
 def test_pits_with_their_band(flock):
     found = one_step_pit(*flock, draws=10, origins=10)
     figure, ax = plot_pit(found)
-    assert next(text.get_text() for text in ax.get_legend().get_texts()) == "95% band, whole line"
+    assert next(text.get_text() for text in ax.get_legend().get_texts()) == "95 % band, whole line"
     figure.canvas.draw()
 
 

@@ -49,7 +49,7 @@ def test_the_ranking_has_the_leader_on_top(found):
     assert "weight" in ax.get_xlabel()
     middle = ax.lines[0].get_xdata()
     np.testing.assert_allclose(middle, np.sort(found["weight"].median("sample")), rtol=1e-6)
-    assert [text.get_text() for text in ax.texts] == ["100%", "first"]
+    assert [text.get_text() for text in ax.texts] == ["100 %", "first"]
     _, ax = plot_leadership(found, by="outgoing")
     assert "cm/s²" in ax.get_xlabel()
 

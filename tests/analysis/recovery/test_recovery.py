@@ -78,15 +78,15 @@ def test_what_a_user_is_told(study):
         {"factor": "noise", "cohesion_gain": "0.06 or more", "center[0]": "none tried"},
     ]
     rows = recovery_table(found)
-    assert rows[0] == {"setting": "base", "cohesion_gain": "20% ±25% !", "center[0]": "-"}
-    assert rows[2]["cohesion_gain"] == "10% ±25%"
+    assert rows[0] == {"setting": "base", "cohesion_gain": "20 % ±25 % !", "center[0]": "-"}
+    assert rows[2]["cohesion_gain"] == "10 % ±25 %"
     sentence = recovery_sentence(found)
     assert "With 20 frames of 3 individuals in 1 trials" in sentence
-    assert "gains are not all found to within 10%" in sentence
-    assert "20% over 3 simulated data sets" in sentence
+    assert "gains are not all found to within 10 %" in sentence
+    assert "20 % over 3 simulated data sets" in sentence
     assert "about 80 frames a trial are needed" in sentence
     easy = recovery_sentence(study(tolerance=0.5))
-    assert "all gains are found to within 50%" in easy
+    assert "all gains are found to within 50 %" in easy
 
 
 def test_a_curve_holds_the_base_in_its_place(study):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from swarmssm.analysis import evaluate
-from swarmssm.analysis.scores.baseline_errors import baseline_covariances
+from swarmssm.analysis.baseline_errors import baseline_covariances
 from swarmssm.models.baselines import ConstantVelocity, StayPut
 
 

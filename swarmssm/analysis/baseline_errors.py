@@ -7,8 +7,9 @@ from swarmssm.tracks import Array
 
 __all__ = ["baseline_covariances"]
 
-#: Origins in the training part from which the errors of a baseline are measured.
+#: Origins from which the errors of a baseline are measured, and individuals at all of them.
 ERROR_ORIGINS = 2000
+ERROR_FORECASTS = 20_000
 
 
 def baseline_covariances(baseline: Baseline, states: Array, steps: int, fps: float) -> Array:
@@ -33,7 +34,8 @@ def baseline_covariances(baseline: Baseline, states: Array, steps: int, fps: flo
     num_trials, num_times = states.shape[:2]
     space = states.shape[-1] // 2
     last = max(1, num_times - 1)
-    count = max(2, ERROR_ORIGINS // num_trials)
+    origins = min(ERROR_ORIGINS, ERROR_FORECASTS // states.shape[-2])
+    count = max(2, origins // num_trials)
     rows = np.unique(np.linspace(0, last - 1, min(last, count)).astype(int))
     trials, rows = np.repeat(np.arange(num_trials), len(rows)), np.tile(rows, num_trials)
     first = rows[:, None] + np.arange(1 - baseline.order, 1)

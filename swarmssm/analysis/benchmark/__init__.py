@@ -1,0 +1,35 @@
+"""Every method on the same tracks, with the same scores, in one table."""
+
+from swarmssm.analysis.benchmark.measuring import FLOOR, METHODS, Measured, measure
+from swarmssm.analysis.benchmark.own import OWN
+from swarmssm.analysis.benchmark.results import Results, collect, leader_sentence, shown_rows
+from swarmssm.analysis.benchmark.running import Job, jobs_of, run_jobs
+from swarmssm.analysis.benchmark.task import HORIZONS, Task, make_task
+from swarmssm.analysis.benchmark.writing import (
+    benchmark_page,
+    check_outputs,
+    markdown,
+    write_results,
+)
+
+__all__ = [
+    "FLOOR",
+    "HORIZONS",
+    "METHODS",
+    "OWN",
+    "Job",
+    "Measured",
+    "Results",
+    "Task",
+    "benchmark_page",
+    "check_outputs",
+    "collect",
+    "jobs_of",
+    "leader_sentence",
+    "make_task",
+    "markdown",
+    "measure",
+    "run_jobs",
+    "shown_rows",
+    "write_results",
+]

@@ -1,0 +1,66 @@
+"""The posterior of types of edges: an encoder of what was seen, beside the guide of the paths."""
+
+import pyro
+import torch
+
+from swarmssm.models import InferredEdges, SwarmBatch
+from swarmssm.models.edges import EdgeMemory, EdgeTypes
+from swarmssm.models.edges.types import IntegratedEdgeTypes
+from swarmssm.models.parts import Part
+
+__all__ = ["EdgeGuide"]
+
+
+class EdgeGuide(Part):
+    r"""Draws the site ``"edges"`` of a model: :math:`q(e \mid x_{1:T})`.
+
+    The paths are then drawn given these edges: :math:`q(\theta)\, q(e \mid x)\,
+    q(z \mid e, x, \theta)`.
+
+    Parameters
+    ----------
+    edges
+        The model's.
+
+    Attributes
+    ----------
+    integrates
+        Whether the divergence from the prior stands in the ELBO as it is, and not as that of a
+        draw; it must not with importance weights.
+    """
+
+    def __init__(self, edges: InferredEdges) -> None:
+        super().__init__()
+        # In a list, or the model's would be a part of the guide and saved and trained twice.
+        self._edges = [edges]
+        self.encoder = edges.encoder()
+        self.integrates = True
+
+    @property
+    def edges(self) -> InferredEdges:
+        """The model's edges."""
+        return self._edges[0]
+
+    def posterior(self, batch: SwarmBatch) -> EdgeTypes:
+        """Return the distribution of types in windows, batch shape ``(batch,)``."""
+        return self.edges.posterior(batch, self.encoder, self.edges.prior(batch))
+
+    def forward(self, batch: SwarmBatch) -> SwarmBatch:
+        """Sample the types; return the windows with these edges."""
+        prior = self.edges.prior(batch)
+        site = self.edges.posterior(batch, self.encoder, prior)
+        if self.integrates:
+            site = IntegratedEdgeTypes(site, prior)
+        return self.edges.put(batch, pyro.sample("edges", site))
+
+    def draw(self, batch: SwarmBatch, *, sample: bool = True) -> SwarmBatch:
+        """Return windows with edges that were drawn, or with the probabilities of their types."""
+        with torch.no_grad():
+            law = self.posterior(batch)
+            return self.edges.put(batch, law.sample() if sample else law.mean)
+
+    def memory(self, batch: SwarmBatch) -> EdgeMemory:
+        """Return what is known of edges at the end of windows that have some."""
+        assert batch.edge_types is not None, "the windows have edges"
+        with torch.no_grad():
+            return self.edges.memory(batch, batch.edge_types)

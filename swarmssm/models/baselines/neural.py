@@ -1,0 +1,496 @@
+"""What the neural baselines share: how they are trained, run over a history, and rolled out."""
+
+import copy
+import itertools
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor, nn
+
+from swarmssm.errors import InputError
+from swarmssm.graphs import GraphRule
+from swarmssm.metrics.masked import known
+from swarmssm.models.baselines.base import Baseline
+from swarmssm.models.baselines.training import Training
+from swarmssm.models.baselines.windows import (
+    Trials,
+    Windows,
+    carried_forward,
+    graphs_of,
+    standardiser,
+)
+from swarmssm.scaling import Scaler
+from swarmssm.tracks import Array
+
+__all__ = ["Memory", "NeuralBaseline", "Setting", "StepNetwork"]
+
+#: What a network carries from step to step: tensors ``(batch, individual, ...)`` by name.
+Memory = dict[str, Tensor]
+Numbers = npt.NDArray[np.int64]
+
+#: Scaled states are kept within so many standard deviations, so that no path becomes infinite.
+FARTHEST = 100.0
+#: Individuals, or pairs of them, in a batch that are looked at together when nothing is learned.
+ROWS_AT_ONCE = 20_000
+PAIRS_AT_ONCE = 200_000
+#: Windows of the validation part by which the best weights are chosen, and how far they go.
+JUDGED_WINDOWS = 256
+JUDGED_STEPS = 20
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What a network is told before it learns.
+
+    Attributes
+    ----------
+    features
+        Number of features of a state.
+    change
+        Root mean square of what each feature of a scaled state changes by in one frame,
+        ``(state,)``: the unit in which a residual network writes its output.
+    scaler
+        Between the tracks' units and those of the network.
+    fps
+        Frames per second.
+    """
+
+    features: int
+    change: Tensor
+    scaler: Scaler
+    fps: float
+
+
+class StepNetwork(nn.Module):
+    """A network that goes from one scaled state to the next and remembers.
+
+    A subclass writes :meth:`step`, and :meth:`begin` if it has a memory. All states are scaled;
+    ``graph[b, i, j] = 1`` means that i sees j. Where ``mask`` is false the state is 0, and nobody
+    is to gather anything from there: the graph has no edge to it.
+    """
+
+    def begin(self, states: Tensor) -> Memory:
+        """Return the memory before the first frame.
+
+        Parameters
+        ----------
+        states
+            States ``(batch, individual, state)`` of the first frame; only shape and type matter.
+        """
+        return {}
+
+    def step(
+        self, states: Tensor, mask: Tensor, graph: Tensor, memory: Memory
+    ) -> tuple[Tensor, Memory]:
+        """Return the expected next state and the memory after this one.
+
+        Parameters
+        ----------
+        states
+            Shape ``(batch, individual, state)``.
+        mask
+            Who is there, ``(batch, individual)``.
+        graph
+            Shape ``(batch, individual, individual)``, 0 and 1.
+        memory
+            Of the step before, or from :meth:`begin`.
+        """
+        raise TypeError(f"{type(self).__name__} must define step(states, mask, graph, memory)")
+
+    def run(self, states: Tensor, mask: Tensor, graph: Tensor) -> tuple[Tensor, Memory]:
+        """Go over known frames.
+
+        Parameters
+        ----------
+        states, mask, graph
+            As in :meth:`step`, with a dimension of time after that of the batch.
+
+        Returns
+        -------
+        The expected state after each frame, ``(batch, time, individual, state)``, each from frames
+        up to this one alone; and the memory after the last. Who is not there forgets.
+        """
+        empty = memory = self.begin(states[:, 0])
+        expected = []
+        for now, there, edges in zip(
+            states.unbind(1), mask.unbind(1), graph.unbind(1), strict=True
+        ):
+            following, memory = self.step(now, there, edges, memory)
+            memory = {
+                name: torch.where(_like(there, part), part, empty[name])
+                for name, part in memory.items()
+            }
+            expected.append(following)
+        return torch.stack(expected, dim=1), memory
+
+    def remember(self, states: Tensor, mask: Tensor, graph: Tensor) -> tuple[Tensor, Memory]:
+        """Return the expected state after the last frame, and the memory: the end of :meth:`run`.
+
+        A network that makes something of the history as a whole overrides this.
+        """
+        expected, memory = self.run(states, mask, graph)
+        return expected[:, -1], memory
+
+
+class NeuralBaseline(Baseline):
+    r"""A baseline whose next state comes from a network.
+
+    A subclass writes :meth:`build`. States are standardised by the training part. Gaps are filled
+    at constant velocity for the memory's sake, up to :attr:`order` frames; what was filled is
+    neither scored nor seen by others.
+
+    Windows of ``order + ahead`` frames are drawn at random. Over the first ``order`` frames the
+    network is told the truth and predicts each next frame; from then on it goes on by itself. With
+    :math:`e_k` the error k steps ahead of the last known frame and :math:`s_k` the root mean square
+    of what a feature changes by in k frames, the loss is
+
+    .. math:: \overline{(e_1 / s_1)^2} + \overline{(e_k / s_k)^2}_{k = 2 .. ahead}
+
+    with the first mean over all known frames. Adam, with gradients clipped; the learning rate rises
+    over the first twentieth and then falls as a cosine to 0 over the processor time that the
+    training allows, or else over :attr:`epochs`. With a validation part those weights are kept
+    whose rollouts over 20 steps have the least error there, in the same units. With ``seconds`` the
+    number of steps, and so the result, depends on the machine; with epochs it follows the seed.
+
+    Attributes
+    ----------
+    order
+        Frames of the history that are looked at, at most.
+    ahead
+        Steps that a window goes on by itself while training.
+    epochs
+        Passes over as many windows as the training part holds side by side.
+    learning_rate, clip
+        Of Adam; greatest norm of the gradient.
+    rows, pairs
+        Greatest number of individuals, and of pairs of them, in the windows of one batch.
+    pairwise
+        Whether work and memory grow with the pairs rather than with the individuals.
+    everybody
+        Whether the method lets everybody see everybody, whatever the graph of the training says.
+    network, scaler, graph
+        What was learned, with what it needs; ``None`` before :meth:`fit`, except that the graph may
+        stay so: then everybody sees everybody.
+    """
+
+    order: int = 20
+    ahead: ClassVar[int] = 10
+    epochs: ClassVar[int] = 100
+    learning_rate: ClassVar[float] = 3e-3
+    clip: ClassVar[float] = 1.0
+    rows: ClassVar[int] = 320
+    pairs: ClassVar[int] = 6400
+    pairwise: ClassVar[bool] = False
+    everybody: ClassVar[bool] = False
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.network: StepNetwork | None = None
+        self.scaler: Scaler | None = None
+        self.graph: GraphRule | None = None
+
+    def build(self, setting: Setting) -> StepNetwork:
+        """Return the network with random weights, drawn from torch's own generator."""
+        raise TypeError(f"{type(self).__name__} must define build(setting)")
+
+    @property
+    def num_parameters(self) -> int:
+        """How many weights the network has."""
+        if self.network is None:
+            return 0
+        return sum(weight.numel() for weight in self.network.parameters() if weight.requires_grad)
+
+    def learn(self, states: Array, fps: float, training: Training) -> None:
+        """Train the network on states ``(trial, time, individual, state)``."""
+        self.graph = None if self.everybody else training.graph
+        self.scaler = standardiser(states)
+        trials = self._trials(states, fps, self.ahead)
+        typical = _typical_changes(trials, max(self.ahead, JUDGED_STEPS))
+        setting = Setting(states.shape[-1], typical[0], self.scaler, fps)
+        held = (
+            None
+            if training.validation is None
+            else self._trials(training.validation, fps, JUDGED_STEPS)
+        )
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(training.seed)
+            self.network = self.build(setting)
+            self._train(self.network, trials, held, typical, training)
+
+    def loss(self, network: StepNetwork, windows: Windows, typical: Tensor) -> Tensor:
+        """Return the loss of windows of ``order + ahead`` frames.
+
+        Parameters
+        ----------
+        network
+            Being trained.
+        windows
+            A batch.
+        typical
+            Root mean square change of each scaled feature over 1, 2, ... frames: ``(k, state)``.
+        """
+        past = windows.first(self.order)
+        expected, memory = network.run(past.states, past.seen, past.graph)
+        truth, here = windows.states[:, 1 : self.order + 1], windows.known[:, 1 : self.order + 1]
+        loss = masked_square((truth - expected) / typical[0], here & past.known)
+        there = past.known[:, -1]
+        states, ahead = expected[:, -1], []
+        for k in range(1, self.ahead):
+            frame = self.order - 1 + k
+            states, memory = network.step(states, there, windows.graph[:, frame], memory)
+            error = (windows.states[:, frame + 1] - states) / typical[k]
+            ahead.append(masked_square(error, windows.known[:, frame + 1] & there))
+        return loss + torch.stack(ahead).mean() if ahead else loss
+
+    def one_step(self, states: Array, fps: float) -> Array:
+        """Predict each frame from the :attr:`order` frames before it, or up to twice as many.
+
+        Parameters
+        ----------
+        states
+            Shape ``(..., time, individual, state)``.
+        fps
+            Frames per second.
+
+        Returns
+        -------
+        Same shape; NaN in the first frame, and where the frame before is unknown.
+        """
+        network, scaler = self._learned()
+        frames, individuals, features = states.shape[-3:]
+        rows = states.reshape(-1, frames, individuals, features)
+        predicted = np.full(rows.shape, np.nan)
+        # Blocks of frames beside each other instead of one long loop: each is warmed up anew.
+        block = self.order
+        count = -(-(frames - 1) // block) if frames > 1 else 0
+        outside = ((0, 0), (block, count * block - (frames - 1)), (0, 0), (0, 0))
+        padded = np.pad(rows[:, : max(frames - 1, 0)], outside, constant_values=np.nan)
+        places = np.arange(2 * block) + block * np.arange(count)[:, None]
+        for row, target in zip(padded, predicted, strict=True):
+            for some in _portions(places, self._at_once(individuals)):
+                window = row[some]
+                past = self._windows(window, fps)
+                with torch.no_grad():
+                    expected, _ = network.run(past.states, past.seen, past.graph)
+                found = scaler.inverse(expected[:, block:].double().numpy())
+                found[~known(window[:, block:])] = np.nan
+                after = some[:, block:].reshape(-1) - block + 1
+                flat = found.reshape(-1, individuals, features)
+                target[after[after < frames]] = flat[after < frames]
+        return predicted.reshape(states.shape)
+
+    def predict(
+        self,
+        states: Array,
+        horizon: int,
+        fps: float,
+        generator: np.random.Generator | None = None,
+    ) -> Array:
+        """Go on from the last frame, as :meth:`Baseline.predict` does.
+
+        The network runs over the last :attr:`order` frames once and then over its own steps; the
+        graph is made anew from the forecast positions at each step. Drawn errors are fed back.
+        """
+        if horizon < 1:
+            raise InputError(f"horizon: it must be at least 1, and it is {horizon}.")
+        network, scaler = self._learned()
+        noise = None
+        if generator is not None:
+            noise = _drawing(self._noise_root() / np.asarray(scaler.scale)[:, None], generator)
+        # Draws come as one history repeated: it is looked at once.
+        again = states.shape[0] if states.ndim > 3 and states.strides[0] == 0 else 1
+        once = states[0] if again > 1 else states
+        rows = once.reshape(-1, *states.shape[-3:])[:, -self.order :]
+        path = np.empty((again, len(rows), horizon, *states.shape[-2:]))
+        limit = self._at_once(states.shape[-2])
+        for some in _portions(np.arange(len(rows)), limit):
+            past = self._windows(rows[some], fps)
+            there = past.known[:, -1]
+            with torch.no_grad():
+                following, memory = network.remember(past.states, past.seen, past.graph)
+                for copies in _portions(np.arange(again), max(1, limit // len(some))):
+                    many = {k: _repeated(part, len(copies)) for k, part in memory.items()}
+                    mask = _repeated(there, len(copies))
+                    steps = self._steps(_repeated(following, len(copies)), mask, many, noise)
+                    scaled = torch.stack(list(itertools.islice(steps, horizon)), dim=1).double()
+                    found = scaler.inverse(scaled.numpy())
+                    found[~np.broadcast_to(mask.numpy()[:, None], found.shape[:-1])] = np.nan
+                    path[np.ix_(copies, some)] = found.reshape(
+                        len(copies), len(some), *found.shape[1:]
+                    )
+        return path.reshape(*states.shape[:-3], horizon, *states.shape[-2:])
+
+    def _steps(
+        self,
+        expected: Tensor,
+        mask: Tensor,
+        memory: Memory,
+        noise: Callable[[Tensor], Tensor] | None = None,
+    ) -> Iterator[Tensor]:
+        """Go on by itself from the first expected state; yield scaled states without end."""
+        network, scaler = self._learned()
+        while True:
+            states = expected if noise is None else expected + noise(expected)
+            states = (states * mask[..., None]).clamp(-FARTHEST, FARTHEST)
+            yield states
+            graph = graphs_of(scaler.inverse_tensor(states), mask, self.graph).float()
+            expected, memory = network.step(states, mask, graph, memory)
+
+    def _train(
+        self,
+        network: StepNetwork,
+        trials: Trials,
+        held: Trials | None,
+        typical: Tensor,
+        training: Training,
+    ) -> None:
+        individuals = trials.states.shape[-2]
+        size = self._at_once(individuals, self.rows, self.pairs)
+        frames = self.order + self.ahead
+        batches = max(1, math.ceil(len(trials.origins) / (frames * size)))
+        random = torch.Generator().manual_seed(training.seed)
+        optimiser = torch.optim.Adam(network.parameters(), lr=self.learning_rate)
+        judge = None if held is None or not len(held.origins) else self._judge(held, typical)
+        best, kept = math.inf, None
+        cost = looked = 0.0
+        for count in itertools.count():
+            done = count / (self.epochs * batches)
+            if training.seconds is not None:
+                done = training.progress
+            ends = done >= 1.0 and count > 0
+            due = count % batches == 0 and count > 0
+            if training.seconds is not None:
+                # Judging takes a tenth of the time at most.
+                due = count > 0 and training.spent - looked >= max(9 * cost, training.seconds / 40)
+            if judge is not None and (due or ends):
+                began = time.process_time()
+                score = judge(network)
+                if score < best:
+                    best, kept = score, copy.deepcopy(network.state_dict())
+                cost, looked = time.process_time() - began, training.spent
+            if ends:
+                break
+            for group in optimiser.param_groups:
+                group["lr"] = self.learning_rate * schedule(done)
+            picked = torch.randint(len(trials.origins), (size,), generator=random)
+            loss = self.loss(network, trials.windows(trials.origins[picked]), typical)
+            optimiser.zero_grad(set_to_none=True)
+            torch.autograd.backward(loss)
+            norm = nn.utils.clip_grad_norm_(network.parameters(), self.clip)
+            if torch.isfinite(norm):
+                optimiser.step()
+        if kept is not None:
+            network.load_state_dict(kept)
+        network.eval()
+
+    def _judge(self, held: Trials, typical: Tensor) -> Callable[[StepNetwork], float]:
+        """Return the function that scores a network by its rollouts."""
+        places = np.linspace(0, len(held.origins) - 1, min(JUDGED_WINDOWS, len(held.origins)))
+        limit = self._at_once(held.states.shape[-2])
+        origins = held.origins[torch.from_numpy(np.unique(places.astype(np.int64)))]
+        parts = [held.windows(some) for some in torch.split(origins, limit)]
+
+        def score(network: StepNetwork) -> float:
+            network.eval()
+            squares = torch.zeros(JUDGED_STEPS)
+            counts = torch.zeros(JUDGED_STEPS)
+            with torch.no_grad():
+                for windows in parts:
+                    past = windows.first(self.order)
+                    following, memory = network.remember(past.states, past.seen, past.graph)
+                    there = past.known[:, -1]
+                    steps = self._steps(following, there, memory)
+                    for k, states in enumerate(itertools.islice(steps, JUDGED_STEPS)):
+                        here = windows.known[:, self.order + k] & there
+                        error = (windows.states[:, self.order + k] - states) / typical[k]
+                        squares[k] += (error[here] ** 2).mean(-1).sum()
+                        counts[k] += here.sum()
+            network.train()
+            value = float((squares[counts > 0] / counts[counts > 0]).mean())
+            return value if math.isfinite(value) else math.inf
+
+        return score
+
+    def _trials(self, states: Array, fps: float, after: int) -> Trials:
+        return Trials(states, fps, self._scaler(), self.graph, self.order, after)
+
+    def _windows(self, states: Array, fps: float) -> Windows:
+        """Return histories ``(window, time, individual, state)`` as the network takes them."""
+        scaler = self._scaler()
+        here = torch.from_numpy(known(states))
+        filled, seen = carried_forward(states, fps, self.order)
+        scaled = np.where(seen[..., None], scaler.transform(filled), 0.0)
+        graph = graphs_of(torch.from_numpy(filled).float(), here, self.graph).float()
+        return Windows(torch.from_numpy(scaled).float(), here, torch.from_numpy(seen), graph)
+
+    def _at_once(
+        self, individuals: int, rows: int = ROWS_AT_ONCE, pairs: int = PAIRS_AT_ONCE
+    ) -> int:
+        """Return how many windows are looked at together."""
+        most = rows // individuals
+        if self.pairwise:
+            most = min(most, pairs // individuals**2)
+        return max(1, most)
+
+    def _scaler(self) -> Scaler:
+        if self.scaler is None:
+            raise InputError(f"{self.name}: fit it first; before that it knows nothing.")
+        return self.scaler
+
+    def _learned(self) -> tuple[StepNetwork, Scaler]:
+        if self.network is None:
+            raise InputError(f"{self.name}: fit it first; before that it knows nothing.")
+        return self.network, self._scaler()
+
+
+def schedule(done: float) -> float:
+    """Return the part of the learning rate at a share of the training between 0 and 1."""
+    rise = min(1.0, 0.02 + done / 0.05)
+    return rise * 0.5 * (1.0 + math.cos(math.pi * min(done, 1.0)))
+
+
+def masked_square(errors: Tensor, mask: Tensor) -> Tensor:
+    """Return the mean square of errors ``(..., state)`` where the mask ``(...)`` is true."""
+    square = torch.where(mask, (errors**2).mean(-1), 0.0)
+    return square.sum() / mask.sum().clamp(min=1)
+
+
+def _typical_changes(trials: Trials, most: int) -> Tensor:
+    """Return the root mean square change over 1 to ``most`` frames, ``(most, state)``."""
+    changes: list[Tensor] = []
+    for k in range(1, most + 1):
+        both = trials.known[:, k:] & trials.known[:, :-k]
+        change = (trials.states[:, k:] - trials.states[:, :-k])[both]
+        found = change.square().mean(0).sqrt() if len(change) else changes[-1]
+        changes.append(torch.where(found > 1e-6, found, 0.1))
+    return torch.stack(changes)
+
+
+def _drawing(root: Array, generator: np.random.Generator) -> Callable[[Tensor], Tensor]:
+    """Return what draws scaled errors for states of any shape."""
+
+    def draw(states: Tensor) -> Tensor:
+        return torch.from_numpy(generator.standard_normal(states.shape) @ root.T).float()
+
+    return draw
+
+
+def _like(mask: Tensor, part: Tensor) -> Tensor:
+    """Return the mask ``(batch, individual)`` with as many dimensions as the part."""
+    return mask.reshape(*mask.shape, *(1,) * (part.dim() - mask.dim()))
+
+
+def _repeated(part: Tensor, times: int) -> Tensor:
+    """Return the batch several times over, one after the other."""
+    return part.repeat(times, *(1,) * (part.dim() - 1)) if times > 1 else part
+
+
+def _portions(rows: Numbers, size: int) -> Iterator[Numbers]:
+    """Return the rows in portions."""
+    return (rows[start : start + size] for start in range(0, len(rows), size))

@@ -1,0 +1,158 @@
+"""What the relational baselines share: they find out who moves whom by predicting motion."""
+
+import dataclasses
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from swarmssm.errors import InputError
+from swarmssm.models.baselines.neural import NeuralBaseline
+from swarmssm.models.baselines.relational_decoders import PerceptronDecoder, RecurrentDecoder
+from swarmssm.models.baselines.training import Training
+from swarmssm.models.baselines.windows import Trials, Windows
+from swarmssm.models.relational import pairs_of
+from swarmssm.tracks import Array
+
+__all__ = ["RelationalBaseline", "reconstruction"]
+
+
+class RelationalBaseline(NeuralBaseline):
+    r"""A baseline that is told of no graph, and gives each ordered pair a type of edge.
+
+    It is trained by the evidence lower bound of the states in a window, with an output variance
+    that is fixed, here divided by a constant so that the first term begins at about 1:
+
+    .. math::
+        \frac{1}{\overline{s^2}} \overline{(x_{t+1} - \hat x_{t+1})^2} + \frac{2 \sigma^2}
+        {\overline{s^2} T D} \sum_{ij} \mathrm{KL}\bigl(q(z_{ij}) \,\|\, p(z)\bigr) / N,
+
+    s being what features change by in a frame. From randomly chosen frames the decoder goes on by
+    itself over a number of steps that is drawn anew for each batch, and is told the truth again.
+    The graph of :class:`~swarmssm.models.baselines.training.Training` is not looked at.
+
+    Attributes
+    ----------
+    edge_types
+        Number of types; type 0 is no edge, and sends no message.
+    no_edge
+        Prior probability of type 0; ``None``: all types are equally likely.
+    variance
+        Of the output, in units of the standardised states. The paper's 5e-5 is in those of data
+        scaled to [-1, 1], whose standard deviation is some third: 5e-4 here.
+    temperature
+        Of the relaxed draws of edges while training.
+    stretches
+        Numbers of steps over which the decoder goes on by itself, of which one is drawn.
+    decoded
+        Steps of each window that are decoded in one batch, all stretches together.
+    hidden
+        Width of encoder and decoder.
+    relative
+        Whether the encoder is also given relative positions and velocities of each pair.
+    """
+
+    order: int = 49
+    ahead: ClassVar[int] = 1
+    edge_types: ClassVar[int] = 2
+    no_edge: ClassVar[float | None] = None
+    variance: ClassVar[float] = 5e-4
+    temperature: ClassVar[float] = 0.5
+    stretches: ClassVar[tuple[int, ...]] = (1, 5, 10)
+    decoded: ClassVar[int] = 10
+    hidden: ClassVar[int] = 64
+    relative: ClassVar[bool] = False
+    pairwise: ClassVar[bool] = True
+    rows: ClassVar[int] = 640
+    pairs: ClassVar[int] = 6400
+
+    def edge_probabilities(self, states: Array, fps: float) -> Array:
+        """Return how likely each type of edge is, looking back and ahead.
+
+        Parameters
+        ----------
+        states
+            Shape ``(trial, time, individual, state)``.
+        fps
+            Frames per second.
+
+        Returns
+        -------
+        Shape ``(trial, time or 1, individual, neighbor, edge_type)``: what type of edge the
+        neighbor has upon the individual. NaN for pairs that are not two, or never seen together.
+        """
+        raise TypeError(f"{type(self).__name__} must define edge_probabilities(states, fps)")
+
+    def learn(self, states: Array, fps: float, training: Training) -> None:
+        """Train the network; the graph is for it to find out."""
+        super().learn(states, fps, dataclasses.replace(training, graph=None))
+
+    def _trials(self, states: Array, fps: float, after: int) -> Trials:
+        """Cut windows with a whole history where there are any, and to train on up to the end."""
+        trials = super()._trials(states, fps, after)
+        if after == self.ahead:
+            last = trials.known.any(-1).long()
+            last = last.shape[1] - 1 - last.flip(1).argmax(1) - (self.order - 1)
+            ends = torch.stack([torch.arange(len(last)), last], dim=-1)
+            late = trials.origins[trials.origins[:, 1] >= self.order - 1]
+            trials.origins = torch.cat([late, ends[last > 0]]) if len(ends) else late
+        else:
+            late = trials.origins[trials.origins[:, 1] >= self.order - 1]
+            trials.origins = late if len(late) else trials.origins
+        return trials
+
+    def _scaled_windows(self, states: Array, fps: float) -> tuple[Tensor, Tensor]:
+        """Return scaled states and who is seen, of whole trials."""
+        if states.ndim != 4:
+            raise InputError(
+                "states: their shape must be (trial, time, individual, state), and it is "
+                f"{states.shape}."
+            )
+        windows = self._windows(states, fps)
+        return windows.states, windows.seen
+
+    def _draw_stretch(self, frames: int) -> tuple[int, Tensor]:
+        """Return over how many steps the decoder goes on by itself, and from which frames."""
+        possible = [steps for steps in self.stretches if steps < frames] or [1]
+        steps = possible[int(torch.randint(len(possible), ()))]
+        count = max(1, self.decoded // steps)
+        return steps, torch.randint(frames - steps, (count,))
+
+
+def reconstruction(
+    decoder: PerceptronDecoder | RecurrentDecoder,
+    windows: Windows,
+    edges: Tensor,
+    steps: int,
+    starts: Tensor,
+) -> tuple[Tensor, Tensor]:
+    """Return the sum of squared errors of stretches, and the number of states in it.
+
+    Parameters
+    ----------
+    decoder
+        Without memory.
+    windows
+        A batch.
+    edges
+        Weights of the types, ``(batch, time, individual, neighbor, edge_type)``, or 1 for time.
+    steps
+        Over which the decoder goes on by itself.
+    starts
+        Frames from which it does, ``(stretch,)``.
+    """
+    states = windows.states[:, starts].flatten(0, 1)
+    there = windows.seen[:, starts].flatten(0, 1)
+    pairs = pairs_of(there).unsqueeze(-1).to(edges.dtype)
+    hidden = decoder.begin(states)
+    square, count = states.new_zeros(()), states.new_zeros(())
+    for k in range(steps):
+        fixed = edges.shape[1] == 1
+        now = edges.expand(-1, len(starts), -1, -1, -1) if fixed else edges[:, starts + k]
+        now = now.flatten(0, 1) * pairs
+        states, hidden = decoder(states, now, hidden)
+        target = windows.states[:, starts + k + 1].flatten(0, 1)
+        here = windows.known[:, starts + k + 1].flatten(0, 1) & there
+        square = square + torch.where(here, (target - states).square().sum(-1), 0.0).sum()
+        count = count + here.sum()
+    return square, count

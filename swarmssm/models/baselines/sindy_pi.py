@@ -1,0 +1,231 @@
+r"""SINDy-PI: sparse identification of dynamics that are a ratio of two sums of terms."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from swarmssm.errors import InputError
+from swarmssm.graphs import GraphRule
+from swarmssm.metrics.masked import known
+from swarmssm.models.baselines.library import (
+    Term,
+    monomials,
+    polynomial_terms,
+    sparse_coefficients,
+)
+from swarmssm.models.baselines.regression import compress
+from swarmssm.models.baselines.selection import learning_and_judging_parts
+from swarmssm.models.baselines.sindy import ROWS_AT_ONCE
+from swarmssm.models.baselines.social_terms import (
+    AccelerationBaseline,
+    accelerations,
+    social_terms,
+)
+from swarmssm.models.baselines.training import Training
+from swarmssm.tracks import Array
+
+__all__ = ["Ratio", "SindyPI"]
+
+THRESHOLDS = (0.1, 0.03, 0.01, 0.003, 0.001)
+#: A model with fewer terms is preferred if its squared error is greater by no more than this share.
+TOLERANCE = 0.005
+#: At most so many steps judge the candidates.
+MOST_JUDGED = 20_000
+#: What multiplies the acceleration: 1, and the squares of speed, of the distance from the centre
+#: and of that to the neighbours' mean.
+DENOMINATORS = ("", "|v|^2", "|p|^2", "|C|^2")
+
+
+@dataclass(frozen=True)
+class Ratio:
+    """One coordinate of the acceleration, as a ratio of sums of terms.
+
+    Attributes
+    ----------
+    numerator
+        Coefficients of the terms, ``(term,)``.
+    denominator
+        Coefficients of ``DENOMINATORS``; the one of 1 is 1 unless it is 0.
+    """
+
+    numerator: Array
+    denominator: Array
+
+    def __call__(self, terms: Array, squares: Array) -> Array:
+        """Return the ratio, ``(...)``; not finite where the denominator vanishes."""
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            return np.asarray((terms @ self.numerator) / (squares @ self.denominator))
+
+    @property
+    def size(self) -> int:
+        """Number of coefficients that are not 0, without that which sets the scale."""
+        return int(np.count_nonzero(self.numerator) + np.count_nonzero(self.denominator)) - 1
+
+
+class SindyPI(AccelerationBaseline):
+    r"""Implicit SINDy: each coordinate of the acceleration is a ratio of sums of terms.
+
+    .. math:: \Bigl(d_0 + d_1 |v_i|^2 + d_2 |p_i|^2 + d_3 |C_i|^2\Bigr)\, a_i = \sum_k \xi_k\,
+        \theta_k(C_i, S_i, A_i, p_i, v_i)
+
+    with :math:`\theta` cohesion, separation and alignment, (3.16) to (3.18) of the thesis with
+    exponent 1, and all products of up to three of one's own place and velocity. Every term of this
+    equation in turn is taken for the left-hand side and regressed on all others by sequentially
+    thresholded least squares - that is the "parallel" of Kaheman et al., which finds implicit laws
+    although none is known to hold with coefficient 1 - and that equation is kept which, solved for
+    the acceleration, predicts it best in the validation part, or is sparser than the best and as
+    good within half a percent. As in the original, whose authors solve the same regressions by
+    thresholding and choose by the error on data that were not fitted.
+
+    The steps of all individuals in all trials enter one regression, and no difference is taken from
+    one trial to another; pysindy's own SINDy-PI library takes one trajectory only (its issue 428).
+    Accelerations are kept within those of the training part, which a vanishing denominator would
+    leave.
+    """
+
+    name: ClassVar[str] = "sindy-pi"
+    title: ClassVar[str] = "SINDy-PI"
+    paper: ClassVar[str] = "Kaheman, Kutz and Brunton 2020, doi:10.1098/rspa.2020.0279"
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.graph: GraphRule | None = None
+        self.ratios: list[Ratio] = []
+        self.centre = self.low = self.high = np.empty(0)
+        self.least = self.greatest = np.empty(0)
+
+    @property
+    def num_parameters(self) -> int:
+        """Coefficients that are not 0."""
+        return sum(ratio.size for ratio in self.ratios)
+
+    def equations(self, digits: int = 4) -> list[str]:
+        """Return what was found in words that people read: one equation a coordinate."""
+        space = len(self._found())
+        coordinates = "xyz"[:space]
+        names = [symbol + c for symbol in ("C", "S", "A", "", "v") for c in coordinates]
+        labels = [" ".join(names[index] for index in term) for term in _terms(space)]
+        return [
+            f"dv{coordinate}/dt = ({_sum(ratio.numerator, labels, digits)}) / "
+            f"({_sum(ratio.denominator, DENOMINATORS, digits)})"
+            for coordinate, ratio in zip(coordinates, self.ratios, strict=True)
+        ]
+
+    def learn(self, states: Array, fps: float, training: Training) -> None:
+        """Try every left-hand side and threshold for each coordinate."""
+        self.graph = training.graph
+        rows = states[known(states)]
+        self.low, self.high = rows.min(axis=0), rows.max(axis=0)
+        self.centre = rows.mean(axis=0)[: states.shape[-1] // 2]
+        early, late = learning_and_judging_parts(states, training)
+        variables, targets = self._rows(early, fps)
+        self.least, self.greatest = targets.min(axis=0), targets.max(axis=0)
+        space = targets.shape[-1]
+        triangle = compress(
+            _columns(variables[start : start + ROWS_AT_ONCE], targets[start : start + ROWS_AT_ONCE])
+            for start in range(0, len(variables), ROWS_AT_ONCE)
+        )
+        variables, truth = self._rows(late, fps)
+        some = np.linspace(0, len(truth) - 1, min(len(truth), MOST_JUDGED)).round().astype(int)
+        terms, squares = self._terms_and_squares(variables[some])
+        num_terms = terms.shape[-1]
+        self.ratios = []
+        for axis in range(space):
+            implicit = num_terms + axis + space * np.arange(len(DENOMINATORS))
+            picked = triangle[:, [*range(num_terms), *implicit]]
+            candidates = []
+            for ratio in _ratios(picked, num_terms):
+                found = np.clip(ratio(terms, squares), self.least[axis], self.greatest[axis])
+                error = ((found - truth[some, axis]) ** 2).mean()
+                if np.isfinite(error):
+                    candidates.append((float(error), ratio))
+            least = min(error for error, _ in candidates)
+            # What differs from an exact fit by rounding alone is as good.
+            enough = (1.0 + TOLERANCE) * least + 1e-20 * float((truth[some, axis] ** 2).mean())
+            good = [(ratio.size, error, index) for index, (error, ratio) in enumerate(candidates)
+                    if error <= enough]
+            self.ratios.append(candidates[min(good)[2]][1])
+
+    def acceleration(self, states: Array) -> Array:
+        """Return the ratios."""
+        ratios = self._found()
+        flat = self._variables(states).reshape(-1, 5 * len(ratios))
+        found = np.empty((len(flat), len(ratios)))
+        for start in range(0, len(flat), ROWS_AT_ONCE):
+            part = slice(start, start + ROWS_AT_ONCE)
+            terms, squares = self._terms_and_squares(flat[part])
+            values = np.stack([ratio(terms, squares) for ratio in ratios], axis=-1)
+            found[part] = np.clip(values, self.least, self.greatest)
+        return found.reshape(*states.shape[:-1], len(ratios))
+
+    def _found(self) -> list[Ratio]:
+        """Return the ratios."""
+        if not self.ratios:
+            raise InputError(f"{self.name}: fit it first; it has learned nothing yet.")
+        return self.ratios
+
+    def _variables(self, states: Array) -> Array:
+        """Return C, S, A, place and velocity, ``(..., individual, 5 * space)``."""
+        place, velocity = np.split(np.clip(states, self.low, self.high), 2, axis=-1)
+        terms = social_terms(states, self.graph)
+        return np.concatenate([terms, place - self.centre, velocity], axis=-1)
+
+    def _rows(self, states: Array, fps: float) -> tuple[Array, Array]:
+        """Return variables and accelerations of all steps of everybody, ``(row, ...)``."""
+        targets = accelerations(states, fps)
+        usable = known(targets)
+        return self._variables(states[:, :-1])[usable], targets[usable]
+
+    def _terms_and_squares(self, variables: Array) -> tuple[Array, Array]:
+        """Return terms of the numerator, and what the denominator is made of."""
+        return _terms_and_squares(variables)
+
+
+def _terms(space: int) -> list[Term]:
+    """Return the terms of the numerator."""
+    social: list[Term] = [(index,) for index in range(3 * space)]
+    return social + polynomial_terms(range(3 * space, 5 * space), 3)
+
+
+def _terms_and_squares(variables: Array) -> tuple[Array, Array]:
+    """Return terms of the numerator, and what the denominator is made of, ``(row, ...)``."""
+    space = variables.shape[-1] // 5
+    cohesion, _, _, place, velocity = np.split(variables, 5, axis=-1)
+    squares = [np.ones(len(variables)), *((part**2).sum(-1) for part in (velocity, place, cohesion))]
+    return monomials(variables, _terms(space)), np.stack(squares, axis=-1)
+
+
+def _columns(variables: Array, targets: Array) -> Array:
+    """Return the terms, and each square times each coordinate of the acceleration."""
+    terms, squares = _terms_and_squares(variables)
+    implicit = (squares[:, :, None] * targets[:, None, :]).reshape(len(variables), -1)
+    return np.concatenate([terms, implicit], axis=-1)
+
+
+def _ratios(triangle: Array, num_terms: int) -> list[Ratio]:
+    """Return the law that each left-hand side and threshold gives, where it has an acceleration."""
+    columns = triangle.shape[1]
+    found = []
+    for left in range(columns):
+        others = [column for column in range(columns) if column != left]
+        for threshold in THRESHOLDS:
+            law = np.empty(columns)
+            law[left] = -1.0
+            law[others] = sparse_coefficients(triangle[:, [*others, left]], 1, threshold)[0]
+            numerator, denominator = law[:num_terms], -law[num_terms:]
+            # Any multiple says the same: the constant of the denominator is brought to 1.
+            whole = denominator[0] or denominator[np.argmax(np.abs(denominator))]
+            if whole != 0.0:
+                found.append(Ratio(numerator / whole, denominator / whole))
+    return found
+
+
+def _sum(values: Array, labels: tuple[str, ...] | list[str], digits: int) -> str:
+    """Return a sum of terms in words."""
+    parts = [
+        f"{value:+.{digits}g} {label}".strip()
+        for value, label in zip(values, labels, strict=True)
+        if value != 0.0
+    ]
+    return " ".join(parts) or "0"

@@ -1,0 +1,313 @@
+"""Edges whose types are latent: inferred along with the paths."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor, nn
+
+from swarmssm.errors import InputError
+from swarmssm.graphs import Graph
+from swarmssm.models.batch import SwarmBatch
+from swarmssm.models.edges.encoders import Memory
+from swarmssm.models.edges.observed import Edges
+from swarmssm.models.edges.seen import Seen, seen_states
+from swarmssm.models.edges.types import EdgeTypes
+from swarmssm.models.layers import check_sizes
+from swarmssm.models.markov import StepInputs
+from swarmssm.models.parts import Part
+from swarmssm.models.relational import pairs_of
+from swarmssm.models.scales import Scales
+
+__all__ = ["EdgeMemory", "EdgeWalk", "InferredEdges"]
+
+
+@dataclass(frozen=True)
+class EdgeMemory:
+    """What is known of edges at the last frame of a history.
+
+    Attributes
+    ----------
+    types
+        Those of the frame, ``(..., individual, neighbor, type)``: drawn, or their probabilities.
+    memory
+        Of the recurrence after the frame, if the edges have one.
+    """
+
+    types: Tensor
+    memory: Memory | None = None
+
+    def reshape(self, leading: tuple[int, ...]) -> "EdgeMemory":
+        """Return the same with other leading dimensions."""
+        types = self.types.reshape(*leading, *self.types.shape[-3:])
+        if self.memory is None:
+            return EdgeMemory(types)
+        hidden, velocities = self.memory
+        return EdgeMemory(
+            types,
+            Memory(
+                hidden.reshape(*leading, *hidden.shape[-3:]),
+                velocities.reshape(*leading, *velocities.shape[-2:]),
+            ),
+        )
+
+    def __getitem__(self, index: Any) -> "EdgeMemory":
+        """Return a part along the leading dimensions."""
+        if self.memory is None:
+            return EdgeMemory(self.types[index])
+        hidden, velocities = self.memory
+        return EdgeMemory(self.types[index], Memory(hidden[index], velocities[index]))
+
+
+class InferredEdges(Part, Edges):
+    r"""Edges of K types, the latent site ``"edges"`` of a model.
+
+    Types are drawn by :meth:`prior` in the model and by :meth:`posterior` in the guide, and put
+    into the windows (:meth:`put`): from there transitions, emissions, filters and guides see a
+    graph like any other, with the weights :math:`A_{ij} = \sum_k s_k e_{ij,k}`, through which
+    gradients reach the encoder. A transition that knows types
+    (:class:`swarmssm.models.transitions.TypedTransition`) finds them in
+    :attr:`swarmssm.models.StepInputs.edge_types`.
+
+    A subclass writes :meth:`prior`, :meth:`encoder`, :meth:`posterior` and :meth:`following`.
+
+    Parameters
+    ----------
+    scales
+        Typical sizes of the tracks.
+    num_types
+        K.
+    no_edge
+        Whether the first type is no edge.
+    sparsity
+        Prior probability of no edge, the rest being shared by the other types; absent, all types
+        are equally probable.
+    strengths
+        Whether the acting types but the first have a learned weight :math:`s_k`, which starts at
+        1; else all have 1.
+    hidden
+        Width of the encoders.
+    temperature
+        Of the draws, see :class:`~swarmssm.models.edges.EdgeTypes`.
+    relaxed
+        Whether draws are relaxed; else they are one-hot, with straight-through gradients.
+
+    Raises
+    ------
+    InputError
+        If an option is none of the above.
+    """
+
+    def __init__(
+        self,
+        scales: Scales,
+        num_types: int = 2,
+        *,
+        no_edge: bool = True,
+        sparsity: float | None = None,
+        strengths: bool = False,
+        hidden: int = 32,
+        temperature: float = 0.5,
+        relaxed: bool = False,
+    ) -> None:
+        super().__init__()
+        try:
+            check_sizes(num_types=num_types, hidden=hidden)
+        except ValueError as error:
+            raise InputError(f"edges: {error}.") from None
+        if no_edge and num_types < 2:
+            raise InputError(
+                "edge_types: the first type is no edge, so that at least 2 are needed; or take "
+                "no_edge=false."
+            )
+        if sparsity is not None and not no_edge:
+            raise InputError("sparsity: it is the probability of no edge; take no_edge=true.")
+        number = isinstance(sparsity, int | float) and not isinstance(sparsity, bool)
+        if sparsity is not None and not (number and 0.0 < sparsity < 1.0):
+            raise InputError(f"sparsity: it must be between 0 and 1, not {sparsity!r}.")
+        number = isinstance(temperature, int | float) and not isinstance(temperature, bool)
+        if not (number and 0.0 < temperature < math.inf):
+            raise InputError(f"temperature: it must be positive, not {temperature!r}.")
+        self.scales = scales
+        self.num_types, self.no_edge, self.sparsity = num_types, no_edge, sparsity
+        self.hidden, self.temperature, self.relaxed = hidden, float(temperature), relaxed
+        acting = num_types - int(no_edge)
+        self.has_strengths = strengths and acting > 1
+        if self.has_strengths:
+            self.log_strengths = nn.Parameter(torch.zeros(acting - 1))
+        rest = (1.0 - (sparsity or 0.0)) / acting
+        usual = [rest] * acting if sparsity is not None else [1.0 / num_types] * acting
+        if no_edge:
+            usual = [1.0 - sum(usual), *usual]
+        self.register_buffer("usual", torch.tensor(usual).log())
+
+    #: Whether types are fixed over a window.
+    is_static: ClassVar[bool] = False
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the types: ``"none"`` for no edge, then ``"type 1"`` and so on."""
+        acting = self.num_types - int(self.no_edge)
+        return ("none",) * self.no_edge + tuple(f"type {k}" for k in range(1, acting + 1))
+
+    def acting(self, types: Tensor) -> Tensor:
+        """Return the types that act, ``(..., type)``."""
+        return types[..., 1:] if self.no_edge else types
+
+    def interacting(self, types: Tensor) -> Tensor:
+        """Return the probability of any edge, ``(...)``, from types or their probabilities."""
+        return self.acting(types).sum(-1)
+
+    def weights(self, types: Tensor) -> Tensor:
+        """Return the graph of types, ``(..., individual, neighbor)``."""
+        if not self.has_strengths:
+            return self.interacting(types)
+        first = self.log_strengths.new_ones(1)
+        strengths = torch.cat([first, self.log_strengths.exp()]).to(types.dtype)
+        return (self.acting(types) * strengths).sum(-1)
+
+    def forward(self, states: Tensor, inputs: StepInputs) -> Graph | None:
+        """Return the graph of the types in the inputs, or the one that is there without them."""
+        if inputs.edge_types is None:
+            return inputs.adjacency
+        return self.weights(inputs.edge_types)
+
+    def put(self, batch: SwarmBatch, types: Tensor) -> SwarmBatch:
+        """Return windows with given types, ``(batch, time or 1, individual, neighbor, type)``."""
+        types = types.expand(-1, batch.num_times, -1, -1, -1)
+        return replace(batch, adjacency=self.weights(types), edge_types=types)
+
+    def seen(self, batch: SwarmBatch) -> Seen:
+        """Return what encoders are told of windows."""
+        return seen_states(batch, self.scales.space, self.scales.dt)
+
+    def prior(self, batch: SwarmBatch) -> EdgeTypes:
+        """Return the prior of the types in windows, batch shape ``(batch,)``."""
+        raise TypeError(f"{type(self).__name__} must define prior(batch)")
+
+    def encoder(self) -> nn.Module:
+        """Return a new network for :meth:`posterior`."""
+        raise TypeError(f"{type(self).__name__} must define encoder()")
+
+    def posterior(self, batch: SwarmBatch, encoder: nn.Module, prior: EdgeTypes) -> EdgeTypes:
+        """Return the distribution of types given whole windows, batch shape ``(batch,)``.
+
+        Parameters
+        ----------
+        batch
+            Windows.
+        encoder
+            Of the guide, made by :meth:`encoder`.
+        prior
+            Of the same windows.
+        """
+        raise TypeError(f"{type(self).__name__} must define posterior(batch, encoder, prior)")
+
+    def memory(self, batch: SwarmBatch, types: Tensor) -> EdgeMemory:
+        """Return what is known of edges at the end of windows with given types."""
+        return EdgeMemory(types[:, -1])
+
+    def following(
+        self, states: Tensor, present: Tensor, known: EdgeMemory | None
+    ) -> tuple[Tensor, Memory | None]:
+        """Return the logits of types in one more frame, and the memory after it.
+
+        Parameters
+        ----------
+        states
+            Of the frame, ``(..., individual, state)``.
+        present
+            ``(..., individual)`` of bool.
+        known
+            At the frame before; ``None`` at the first.
+        """
+        raise TypeError(f"{type(self).__name__} must define following(states, present, known)")
+
+    def drawn_pairs(self, present: Tensor) -> Tensor:
+        """Return the pairs whose types are drawn in a frame, ``(..., individual, neighbor)``."""
+        return pairs_of(present)
+
+    def walk(self, known: EdgeMemory | None = None, *, sample: bool = True) -> "EdgeWalk":
+        """Return edges of the frames to come, see :class:`EdgeWalk`."""
+        return EdgeWalk(self, known, sample=sample)
+
+    def distribution(self, logits: Tensor, pairs: Tensor, *, normalized: bool = True) -> EdgeTypes:
+        """Return a distribution of types that draws as these edges do."""
+        return EdgeTypes(
+            logits, pairs, self.temperature, relaxed=self.relaxed, normalized=normalized
+        )
+
+
+class EdgeWalk(Edges):
+    """Edges of a swarm that goes on freely, frame after frame.
+
+    Parameters
+    ----------
+    edges
+        The model's.
+    known
+        At the frame where it starts; ``None``: nothing was seen, and the first types are drawn
+        from the prior.
+    sample
+        Whether types are drawn, or take their probabilities.
+    """
+
+    def __init__(self, edges: InferredEdges, known: EdgeMemory | None, *, sample: bool) -> None:
+        super().__init__()
+        # In a list, or it would be a part of this.
+        self._edges = [edges]
+        self.known, self.sample = known, sample
+        #: Types of the frames that were gone through.
+        self.record: list[Tensor] = []
+
+    @property
+    def types(self) -> Tensor:
+        """Types of the present frame."""
+        assert self.known is not None, "no frame was gone through yet"
+        return self.known.types
+
+    @property
+    def graph(self) -> Tensor:
+        """Weights of the present frame."""
+        return self._edges[0].weights(self.types)
+
+    def advance(self, states: Tensor, present: Tensor | None) -> None:
+        """Go on to a frame.
+
+        Parameters
+        ----------
+        states
+            ``(..., individual, state)``.
+        present
+            ``(..., individual)`` of bool; ``None`` if all are there.
+        """
+        edges = self._edges[0]
+        there = torch.ones(states.shape[:-1], dtype=torch.bool, device=states.device)
+        if present is not None:
+            there = there & present
+        logits, memory = edges.following(states, there, self.known)
+        pairs = edges.drawn_pairs(there)
+        # Of one frame, which the distribution wants as a dimension.
+        law = edges.distribution(logits.unsqueeze(-4), pairs.unsqueeze(-3))
+        types = (law.sample() if self.sample else law.mean).squeeze(-4)
+        self.known = EdgeMemory(types, memory)
+        self.record.append(types)
+
+    def graphs(self) -> Tensor:
+        """Return the weights of all frames, ``(..., frame, individual, neighbor)``."""
+        return self._edges[0].weights(torch.stack(self.record, -4))
+
+    def here(self, inputs: StepInputs) -> StepInputs:
+        """Return the inputs with the present frame's types and graph."""
+        return replace(inputs, adjacency=self.graph, edge_types=self.types)
+
+    def complete(self, states: Tensor, inputs: StepInputs) -> StepInputs:
+        """Go on to the frame of these states, and return the inputs with its types and graph."""
+        self.advance(states, inputs.present)
+        return self.here(inputs)
+
+    def forward(self, states: Tensor, inputs: StepInputs) -> Graph:
+        """Go on to the frame of these states, and return its graph."""
+        self.advance(states, inputs.present)
+        return self.graph
