@@ -52,7 +52,7 @@ SYSTEMS = ("springs", "charged", "switching", "boids")
 
 
 def recordings(system: str, trials: int, seed: int) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Return states and true types of edges ``(trial, time, individual, neighbor)`` of each part."""
+    """Return states and true types ``(trial, time, individual, neighbor)`` of each part."""
     if system == "boids":
         parts = {"train": (14, 1000), "validation": (3, 1000), "test": (3, 1000)}
     else:

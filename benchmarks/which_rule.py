@@ -1,6 +1,6 @@
 """Which rule each species follows: kernels, boids, a free network and constant velocity compared.
 
-    python benchmarks/which_rule.py SHARED_DATA [--sets guppies zebrafish guppy_pair sheep]
+    python benchmarks/which_rule.py SHARED_DATA [--sets guppies zebrafish guppy-pair sheep]
         [--folder which_rule] [--steps 300] [--origins 40]
 
 For each recording `kernel`, `boids` and `graph-ssm` are fitted to the first 70 % of the frames (of
@@ -13,14 +13,13 @@ import argparse
 import time
 from pathlib import Path
 
-import numpy as np
 import torch
 import xarray as xr
 
 from swarmssm import inference, io
 from swarmssm.analysis.scores import backtest, score_table, sentence
+from swarmssm.datasets import load_dataset
 from swarmssm.inference import Fit
-from swarmssm.tracks import make_tracks
 
 HORIZONS = (1, 2, 5, 10, 20)
 FORCES = {"relaxation": True, "limits": False, "noise": "additive"}
@@ -29,28 +28,7 @@ MODELS: dict[str, dict[str, object]] = {
     "boids": {"model_options": dict(FORCES)},
     "graph-ssm": {},
 }
-FILES = {
-    "guppies": "guppies_trex8/guppies_trex8.npz",
-    "zebrafish": "zebrafish_idtracker8/zebrafish_idtracker8.npz",
-    "guppy_pair": "guppy_pair/guppy_pair_trial_b.npz",
-}
-
-
-def sheep(data: Path) -> xr.Dataset:
-    """Return the sheep of each drive as a trial, NaN after its end; the dog is left out."""
-    with np.load(data / "sheep_dog" / "sheep_dog_events_1-2-3-4-5-6.npz") as file:
-        xy, segment, fps = file["xy"][:, :14].astype(float), file["segment"], float(file["fps"])
-    drives = [xy[segment == number] for number in np.unique(segment)]
-    longest = max(map(len, drives))
-    whole = np.full((len(drives), longest, *xy.shape[1:]), np.nan)
-    for place, drive in enumerate(drives):
-        whole[place, : len(drive)] = drive
-    return make_tracks(whole, fps=fps, unit="m")
-
-
-def recording(name: str, data: Path) -> xr.Dataset:
-    """Return a recording."""
-    return sheep(data) if name == "sheep" else io.read(data / FILES[name])
+SETS = ("guppies", "zebrafish", "guppy-pair", "sheep")
 
 
 def fitted(place: Path, model: str, tracks: xr.Dataset, steps: int) -> Fit:
@@ -70,14 +48,14 @@ def main() -> None:
     """Fit what is missing, and print a table for each recording."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("data", type=Path)
-    parser.add_argument("--sets", nargs="+", default=[*FILES, "sheep"])
+    parser.add_argument("--sets", nargs="+", default=[*SETS])
     parser.add_argument("--folder", type=Path, default=Path("which_rule"))
     parser.add_argument("--steps", type=int, default=300)
     parser.add_argument("--origins", type=int, default=40)
     options = parser.parse_args()
     options.folder.mkdir(exist_ok=True)
     for name in options.sets:
-        tracks = recording(name, options.data)
+        tracks = load_dataset(name, options.data)
         file = options.folder / f"{name}.nc"
         if not file.exists():
             io.write(tracks, file)

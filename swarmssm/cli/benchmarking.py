@@ -3,7 +3,6 @@
 import os
 import re
 import shutil
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -20,11 +19,9 @@ if TYPE_CHECKING:
 __all__ = ["benchmark"]
 
 #: Where the recordings lie that can be asked for by name, unless told.
-FOLDER = "SWARMSSM_DATA"
+FOLDER = "SWARMSSM_SHARED_DATA"
 BUDGET = re.compile(r"(\d+(?:\.\d+)?)\s*(s|m|h)?")
 SECONDS = {None: 1.0, "s": 1.0, "m": 60.0, "h": 3600.0}
-#: What of the table fits on a terminal.
-PRINTED = 12
 
 
 def benchmark(
@@ -46,7 +43,11 @@ def benchmark(
         ),
     ] = None,
     methods: Annotated[
-        str, typer.Option(help="all, or names with commas; --methods list tells which there are.")
+        str,
+        typer.Option(
+            help="all, or names with commas, also module:attribute of a baseline of your own; "
+            "--methods list tells which there are."
+        ),
     ] = "all",
     budget: Annotated[
         str,
@@ -87,7 +88,7 @@ def benchmark(
         jobs_of,
         make_task,
         run_jobs,
-        shown_rows,
+        short_rows,
         write_results,
     )
     from swarmssm.datasets import DATASETS
@@ -133,16 +134,14 @@ def benchmark(
         )
     results = collect(task, parts)
     paths = write_results(results, out)
-    rows = shown_rows(results)
     if format is TableFormat.json:
         print_json([{"method": name, **row} for name, row in results.rows.items()])
     else:
-        width = PRINTED if sys.stdout.isatty() else None
-        print_rows(title, [dict(list(row.items())[:width]) for row in rows])
+        print_rows(title, short_rows(results))
         for name, row in results.rows.items():
             if row["failed"]:
                 say(f"{name}: {row['failed']}")
-    typer.echo(f"written: {', '.join(map(str, paths))}", err=True)
+        say(f"written: {', '.join(map(str, paths))}")
     if not any(part.measured is not None for part in parts.values()):
         raise WorkError("every method failed; the reasons stand in the table.")
 

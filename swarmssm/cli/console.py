@@ -5,7 +5,7 @@ import math
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import rich.console
 import rich.markup
@@ -25,6 +25,9 @@ __all__ = [
     "write_json",
 ]
 
+#: What the text of a number starts with, or of one that is not there.
+NUMBER = "0123456789-–+.±"
+
 
 def say(text: str) -> None:
     """Print a line for a person."""
@@ -41,14 +44,30 @@ def short(value: object) -> str:
 
 
 def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-    """Print a table: names to the left, numbers to the right."""
+    """Print a table: words to the left, numbers to the right."""
+    console = rich.console.Console(width=None if sys.stdout.isatty() else 120, highlight=False)
     table = rich.table.Table(title=title or None, title_justify="left", show_header=any(columns))
-    for index, column in enumerate(columns):
-        table.add_column(column, justify="left" if index == 0 else "right", overflow="fold")
-    for row in rows:
-        table.add_row(*(rich.markup.escape(short(cell)) for cell in row))
-    width = None if sys.stdout.isatty() else 120
-    rich.console.Console(width=width, highlight=False).print(table)
+    texts = [[short(cell) for cell in row] for row in rows]
+    together = list(zip(columns, *texts, strict=True))
+    # Each column has a border and a blank to both sides.
+    widths = _widths(together, console.width - 3 * len(together) - 1)
+    for index, ((column, *cells), width) in enumerate(zip(together, widths, strict=True)):
+        number = index > 0 and all(cell[:1] in NUMBER or cell == "infinite" for cell in cells)
+        justify: Literal["left", "right"] = "right" if number else "left"
+        table.add_column(column, justify=justify, overflow="fold", width=width)
+    for row in texts:
+        table.add_row(*map(rich.markup.escape, row))
+    console.print(table)
+
+
+def _widths(columns: Sequence[Sequence[str]], room: int) -> list[int | None]:
+    """Return widths of columns in which no word is broken; ``None`` where there is no room."""
+    whole = [max(map(len, texts), default=1) for texts in columns]
+    least = [max((len(word) for t in texts for word in t.split()), default=1) for texts in columns]
+    if sum(whole) <= room or sum(least) > room:
+        return [None] * len(columns)
+    share = (room - sum(least)) / (sum(whole) - sum(least))
+    return [low + int(share * (high - low)) for low, high in zip(least, whole, strict=True)]
 
 
 def print_rows(title: str, rows: Sequence[Mapping[str, object]]) -> None:

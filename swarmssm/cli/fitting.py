@@ -1,5 +1,6 @@
 """``swarmssm fit``: from tracks to a run folder."""
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -19,9 +20,14 @@ from swarmssm.cli.progress import training_progress
 from swarmssm.errors import WorkError
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from swarmssm.inference import Fit
 
 __all__ = ["fit"]
+
+#: Ready-made models that infer tracking noise unless told otherwise.
+NOISY = ("boids", "kernel", "graph-ssm", "linear")
 
 
 def fit(
@@ -117,6 +123,7 @@ def fit(
         if value is not None:
             given[name] = value or None
     tracks = io.read(file)
+    _warn_of_exact_tracks(file, tracks, model, given.get("model_options") or {})
     try:
         with training_progress(f"{file.name}: {model}") as show:
             fitted = inference.fit(
@@ -137,6 +144,19 @@ def fit(
         ) from None
     _print_fit(fitted)
     say(f"{out}: written. Next: swarmssm evaluate {out} {file}")
+
+
+def _warn_of_exact_tracks(
+    file: Path, tracks: "xr.Dataset", model: str, options: dict[str, Any]
+) -> None:
+    """Say so if a model looks for tracking noise where it is known that there is none."""
+    simulated = json.loads(str(tracks.attrs.get("simulation") or "{}"))
+    if simulated.get("observation_noise") == 0 and model in NOISY and "observed" not in options:
+        say(
+            f"{file}: it was simulated without tracking noise, which {model} infers: gains may "
+            "come out wrong. Add --model-option observed=states, or simulate with "
+            "--observation-noise."
+        )
 
 
 def _print_fit(fitted: "Fit") -> None:

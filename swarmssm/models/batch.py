@@ -109,12 +109,14 @@ class SwarmBatch:
     def _steps(self) -> StepInputs:
         """The same, made once: model and guide both ask, and a list of edges is long."""
         last = self.num_times - 1
-        if isinstance(self.adjacency, EdgeList):
-            adjacency: Graph = self.adjacency.select(1, 0, last)
-        else:
-            adjacency = self.adjacency[:, :-1]
+        # What is made once serves all, and whoever asks first may want no gradient.
+        with torch.enable_grad():
+            if isinstance(self.adjacency, EdgeList):
+                adjacency: Graph = self.adjacency.select(1, 0, last)
+            else:
+                adjacency = self.adjacency[:, :-1]
+            types = None if self.edge_types is None else self.edge_types[:, :-1]
         controls = None if self.controls is None else self.controls[:, :-1]
-        types = None if self.edge_types is None else self.edge_types[:, :-1]
         return StepInputs(adjacency, controls, self.present[:, :-1], types)
 
     def select(self, index: torch.Tensor) -> "SwarmBatch":

@@ -13,7 +13,12 @@ from swarmssm.cli import main
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 #: How-to -> lines of a user's own code that it may take, blank ones not counted.
-LINES = {"another-prior": 5, "another-transition": 15, "another-guide": 20}
+LINES = {
+    "another-prior": 5,
+    "another-transition": 15,
+    "another-guide": 20,
+    "comparing-methods": 12,
+}
 #: How-tos that take no code in a file of one's own.
 WITHOUT = (
     "what-do-my-latents-mean",
@@ -25,6 +30,7 @@ WITHOUT = (
 REPORTS = ("which-rule-each-species-follows",)
 #: What stands in a how-to -> less of it, for a quick look at whether it runs at all.
 LESS = {
+    "comparing-methods": {"--budget 10s": "--budget 2s", "ridge-boids,boids": "boids"},
     "another-prior": {"steps=120": "steps=30", "--steps 120": "--steps 30"},
     "another-transition": {"steps=120": "steps=30", "--steps 120": "--steps 30"},
     "another-guide": {"steps=120": "steps=60", "--steps 120": "--steps 60"},

@@ -2,7 +2,13 @@
 
 from swarmssm.analysis.benchmark.measuring import FLOOR, METHODS, Measured, measure
 from swarmssm.analysis.benchmark.own import OWN
-from swarmssm.analysis.benchmark.results import Results, collect, leader_sentence, shown_rows
+from swarmssm.analysis.benchmark.results import (
+    Results,
+    collect,
+    leader_sentence,
+    short_rows,
+    shown_rows,
+)
 from swarmssm.analysis.benchmark.running import Job, jobs_of, run_jobs
 from swarmssm.analysis.benchmark.task import HORIZONS, Task, make_task
 from swarmssm.analysis.benchmark.writing import (
@@ -30,6 +36,7 @@ __all__ = [
     "markdown",
     "measure",
     "run_jobs",
+    "short_rows",
     "shown_rows",
     "write_results",
 ]

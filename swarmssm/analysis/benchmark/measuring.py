@@ -14,17 +14,15 @@ from swarmssm.analysis.benchmark.edges import edge_scores
 from swarmssm.analysis.benchmark.own import OWN
 from swarmssm.analysis.benchmark.rivals import RivalForecaster
 from swarmssm.analysis.benchmark.task import Task
-from swarmssm.analysis.benchmark.true_rule import TrueRule
+from swarmssm.analysis.benchmark.true_rule import TrueRule, true_rule
 from swarmssm.analysis.forecasters import Forecaster, ModelForecaster
 from swarmssm.analysis.free_runs import collective_scores
 from swarmssm.analysis.scores.densities import position_scores
 from swarmssm.analysis.subject import subject_of
-from swarmssm.errors import InputError
 from swarmssm.metrics.masked import known
 from swarmssm.models.baselines.base import Baseline
 from swarmssm.models.baselines.registry import RIVALS, rival
 from swarmssm.models.baselines.training import Training
-from swarmssm.simulate.particles import Particles
 from swarmssm.tracks import Array
 
 __all__ = ["FLOOR", "METHODS", "Measured", "measure"]
@@ -131,7 +129,7 @@ def _fitted(
             "parameters": fit.num_parameters,
         }
         return forecaster, about, fit
-    baseline = _floor(task) if name == FLOOR else _rival(task, name)
+    baseline = true_rule(task) if name == FLOOR else _rival(task, name)
     terms = Training(
         task.validation, None if task.graph == "complete" else task.rule(), seconds, seed
     )
@@ -148,22 +146,7 @@ def _rival(task: Task, name: str) -> Baseline:
     """Return a baseline that is not fitted yet, told the true forms where that is its point."""
     kind = rival(name)
     told = getattr(kind, "told_by", None)
-    return kind() if told is None else told(_law(task))
-
-
-def _floor(task: Task) -> Baseline:
-    """Return the true rule."""
-    law = _law(task)
-    if isinstance(law, Particles):
-        raise InputError("noise-floor: the particles move without noise, so that the floor is 0.")
-    if not task.exact:
-        raise InputError("noise-floor: the tracks are noisy, and the true states are not given.")
-    return TrueRule(law)
-
-
-def _law(task: Task) -> simulate.Law:
-    """Return the law of simulated tracks."""
-    return simulate.law_of(task.tracks)
+    return kind() if told is None else told(simulate.law_of(task.tracks))
 
 
 def _one_step(task: Task, forecaster: Forecaster) -> dict[str, float]:

@@ -104,6 +104,7 @@ OWN: dict[str, OwnMethod] = {
             "boids",
             exact={"observed": "states"},
             noisy=ANIMALS,
+            exact_settings={"epochs": 150, "lr": 0.02},
             told=True,
         ),
         OwnMethod(
@@ -112,6 +113,7 @@ OWN: dict[str, OwnMethod] = {
             "kernel",
             exact={"observed": "states", "noise": "multiplicative", "repulsion": True},
             noisy={"angular": 2, **ANIMALS},
+            exact_settings={"epochs": 100, "lr": 0.02},
         ),
         OwnMethod(
             "graph-ssm",

@@ -48,7 +48,7 @@ def open_folder(folder: Path, facts: dict[str, Any]) -> None:
 
 def part_path(folder: Path, method: str, seed: int) -> Path:
     """Return where the measurement of a method with a seed lies."""
-    return folder / f"{method}-{seed}.npz"
+    return folder / f"{method.replace(':', '.')}-{seed}.npz"
 
 
 def write_measured(path: Path, measured: Measured) -> None:

@@ -20,7 +20,7 @@ from swarmssm.analysis.scores.densities import mean_scores
 from swarmssm.analysis.table import NOTHING, format_number
 from swarmssm.tracks import Array
 
-__all__ = ["Results", "collect", "leader_sentence", "shown_rows"]
+__all__ = ["Results", "collect", "leader_sentence", "short_rows", "shown_rows"]
 
 #: Facts that are no numbers, or the same for each seed.
 PLAIN = ("title", "told", "parameters")
@@ -210,6 +210,14 @@ def shown_rows(results: Results) -> list[dict[str, str]]:
         for cells in shown:
             del cells["note"]
     return shown
+
+
+def short_rows(results: Results) -> list[dict[str, str]]:
+    """Return those columns that fit on a terminal."""
+    last = results.task.steps[-1]
+    kept = ("method", "MSE (4.2)", "MAE (4.3)", f"{last} steps", "AMD error", "AVD error")
+    kept += (f"CRPS {last}", f"log score {last}", "edge AUC", "training, CPU s", "parameters")
+    return [{t: row[t] for t in kept if t in row} for row in shown_rows(results)]
 
 
 def _cell(row: Mapping[str, Any], name: str) -> str:

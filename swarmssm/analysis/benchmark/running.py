@@ -18,6 +18,7 @@ from swarmssm.analysis.benchmark.parts import (
     write_measured,
 )
 from swarmssm.analysis.benchmark.task import Task
+from swarmssm.analysis.benchmark.true_rule import TrueRule, has_floor
 from swarmssm.errors import InputError, WorkError
 
 __all__ = ["Job", "jobs_of", "run_jobs"]
@@ -41,28 +42,36 @@ class Job:
 def jobs_of(methods: Sequence[str], seeds: int) -> list[Job]:
     """Return what is to be measured: a method that draws nothing, once.
 
+    A method is one of :data:`swarmssm.analysis.benchmark.METHODS`, or ``module:attribute`` of a
+    baseline of your own.
+
     Raises
     ------
     InputError
         If there is no such method, one stands there twice, or there are no seeds.
     """
-    from swarmssm.analysis.benchmark.measuring import FLOOR, METHODS
-    from swarmssm.models.baselines.registry import UNSEEDED
+    from swarmssm.analysis.benchmark.measuring import METHODS
+    from swarmssm.models.baselines.registry import UNSEEDED, rival
 
-    unknown = [name for name in methods if name not in METHODS]
-    if unknown:
-        raise InputError(
-            f"methods: {unknown[0]!r} is unknown; choose all, or some of {', '.join(METHODS)}."
-        )
+    for name in methods:
+        if ":" in name:
+            rival(name)
+        elif name not in METHODS:
+            raise InputError(
+                f"methods: {name!r} is unknown; choose all, some of {', '.join(METHODS)}, or name "
+                "your own as module:attribute."
+            )
     if len(set(methods)) < len(methods):
         raise InputError(f"methods: one stands there twice in {', '.join(methods)}.")
     if not methods:
         raise InputError("methods: none is given.")
     if seeds < 1:
         raise InputError(f"seeds: it must be at least 1, and it is {seeds}.")
-    once = {FLOOR, *UNSEEDED}
-    names = [FLOOR, *methods]
-    return [Job(name, seed) for name in names for seed in range(1 if name in once else seeds)]
+    return [Job(name, seed) for name in methods for seed in range(1 if name in UNSEEDED else seeds)]
+
+
+#: The true rule draws nothing while it learns nothing.
+FLOOR_JOB = Job(TrueRule.name, 0)
 
 
 def run_jobs(
@@ -74,7 +83,7 @@ def run_jobs(
     processes: int = 1,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> dict[Job, Part]:
-    """Measure what is not measured yet.
+    """Measure what is not measured yet, and the noise floor of tracks of which the rule is known.
 
     Each job runs in a process of its own on one thread, so that its time and memory are its own and
     one that breaks down leaves the others alone; why it broke down stands in its place. What was
@@ -106,6 +115,7 @@ def run_jobs(
     if processes < 1:
         raise InputError(f"jobs: it must be at least 1, and it is {processes}.")
     open_folder(folder, {"task": json.loads(task.digest()), "seconds": seconds})
+    jobs = [*([FLOOR_JOB] if has_floor(task) else []), *jobs]
     done: dict[Job, Part] = {}
     for job in jobs:
         part = read_part(part_path(folder, job.method, job.seed))

@@ -5,12 +5,15 @@ from typing import ClassVar
 import numpy as np
 import torch
 
+from swarmssm.analysis.benchmark.task import Task
+from swarmssm.errors import InputError
 from swarmssm.metrics.masked import known
 from swarmssm.models.baselines import Baseline
-from swarmssm.simulate import Law
+from swarmssm.simulate import Law, law_of
+from swarmssm.simulate.particles import Particles
 from swarmssm.tracks import Array
 
-__all__ = ["TrueRule"]
+__all__ = ["TrueRule", "has_floor", "true_rule"]
 
 
 class TrueRule(Baseline):
@@ -61,3 +64,28 @@ class TrueRule(Baseline):
             force, _ = self.law.forces(at, speed)
             out[whole] = torch.cat(self.law.move(at, speed, force, generator), dim=-1).numpy()
         return out.reshape(shape)
+
+
+def has_floor(task: Task) -> bool:
+    """Return whether the tracks are simulated, with noise, and their true states are known."""
+    try:
+        true_rule(task)
+    except InputError:
+        return False
+    return True
+
+
+def true_rule(task: Task) -> TrueRule:
+    """Return the rule of a task's tracks.
+
+    Raises
+    ------
+    InputError
+        If it is not known, needs states that are not, or is free of noise.
+    """
+    law = law_of(task.tracks)
+    if isinstance(law, Particles):
+        raise InputError("noise-floor: the particles move without noise, so that the floor is 0.")
+    if not task.exact:
+        raise InputError("noise-floor: the tracks are noisy, and the true states are not given.")
+    return TrueRule(law)

@@ -10,7 +10,8 @@ from matplotlib.text import Text
 
 from swarmssm.analysis.plots.style import new_axes
 from swarmssm.inference import Fit
-from swarmssm.models import LatentEdges, OneStepModel, StateSpaceModel
+from swarmssm.models import InferredEdges, LatentEdges, OneStepModel, StateSpaceModel
+from swarmssm.models.edges import DynamicRelationalEdges
 from swarmssm.models.parameters import priors_of
 
 __all__ = ["plot_model"]
@@ -78,12 +79,13 @@ def _state_space(ax: Axes, model: StateSpaceModel) -> None:
     """Draw three steps of a state-space model."""
     times = ("t-1", "t", "t+1")
     exact = model.emission is None
-    latent = isinstance(model.edges, LatentEdges)
+    hidden = isinstance(model.edges, LatentEdges | InferredEdges)
+    of_states = isinstance(model.edges, LatentEdges | DynamicRelationalEdges)
     states, graphs, seen = [], [], []
     for place, time in enumerate(times):
         x = 2.0 * place
         states.append(_Node(f"$x_{{{time}}}$", x, 0.0, seen=exact))
-        graphs.append(_Node(f"$A_{{{time}}}$", x + 0.7, 1.25, seen=not latent, square=True))
+        graphs.append(_Node(f"$A_{{{time}}}$", x + 0.7, 1.25, seen=not hidden, square=True))
         seen.append(_Node(f"$y_{{{time}}}$", x, -1.35, seen=True))
     for place in range(3):
         _draw(ax, states[place])
@@ -95,7 +97,7 @@ def _state_space(ax: Axes, model: StateSpaceModel) -> None:
         _draw(ax, graphs[place])
         _arrow(ax, states[place], states[place + 1])
         _arrow(ax, graphs[place], states[place + 1])
-        if latent:
+        if of_states:
             _arrow(ax, states[place], graphs[place])
     names = priors_of(model)
     moves = [name.partition(".")[2] for name in names if name.startswith("transition.")]
@@ -127,7 +129,7 @@ def _one_step(ax: Axes) -> None:
     ax.text(3.2, 0.62, "decoder", ha="center", fontsize=9, color=INK)
     ax.text(2.2, 0.5, "N(0, I)", ha="center", fontsize=9, color=INK)
     ax.set_xlim(-0.8, 5.2)
-    ax.set_ylim(-1.5, 1.3)
+    ax.set_ylim(-1.2, 1.05)
 
 
 def _draw(ax: Axes, node: _Node) -> None:

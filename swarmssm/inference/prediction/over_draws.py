@@ -12,7 +12,7 @@ __all__ = ["OverDraws", "in_pieces"]
 
 #: Numbers that the tensors of draws which are taken together have at most, each entry of which a
 #: network may turn into some tens.
-CHUNK = 1_000_000
+CHUNK = 200_000
 
 
 class OverDraws:

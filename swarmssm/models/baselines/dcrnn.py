@@ -8,10 +8,10 @@ from torch import Tensor, nn
 from swarmssm.models.baselines.neural import Memory, NeuralBaseline, Setting, StepNetwork
 from swarmssm.models.baselines.recurrent import LookingNetwork
 
-__all__ = ["DiffusionConvolutionalNetwork", "DirectDiffusionConvolutionalNetwork", "random_walks"]
+__all__ = ["DCRNN", "DCRNNDirect", "random_walks"]
 
 
-class DiffusionConvolutionalNetwork(NeuralBaseline):
+class DCRNN(NeuralBaseline):
     r"""Diffusion convolutional recurrent neural network (DCRNN), with residual output.
 
     A gated recurrent unit in which every product with a matrix of weights is a convolution over
@@ -26,7 +26,7 @@ class DiffusionConvolutionalNetwork(NeuralBaseline):
         x_{t+1} &= x_t + s \odot (W h_t + b)
 
     The last line is not in the paper, which writes out the next state itself, see
-    :class:`DirectDiffusionConvolutionalNetwork`; s is the typical change of each feature in a
+    :class:`DCRNNDirect`; s is the typical change of each feature in a
     frame.
 
     The original has two layers of 64 units, an encoder and a decoder with weights of their own, K
@@ -51,10 +51,10 @@ class DiffusionConvolutionalNetwork(NeuralBaseline):
         return _DiffusionUnit(setting, self.hidden, self.walk, self.residual)
 
 
-class DirectDiffusionConvolutionalNetwork(DiffusionConvolutionalNetwork):
+class DCRNNDirect(DCRNN):
     r"""DCRNN that writes out the next state itself, :math:`x_{t+1} = W h_t + b`, as published.
 
-    All else is as in :class:`DiffusionConvolutionalNetwork`. A state that hardly changes from frame
+    All else is as in :class:`DCRNN`. A state that hardly changes from frame
     to frame has to pass through the gates without loss, which costs most of the accuracy.
     """
 

@@ -9,10 +9,10 @@ from swarmssm.models.baselines.neural import Memory, NeuralBaseline, Setting, St
 from swarmssm.models.baselines.recurrent import LookingNetwork
 from swarmssm.models.layers import GatedGraphLayer
 
-__all__ = ["DirectDynamicGraphEncoder", "DynamicGraphEncoder"]
+__all__ = ["DyGrEncoderDirect", "DyGrEncoder"]
 
 
-class DynamicGraphEncoder(NeuralBaseline):
+class DyGrEncoder(NeuralBaseline):
     r"""DyGrEncoder: gated graph network, then long short-term memory, with residual output.
 
     .. math::
@@ -24,7 +24,7 @@ class DynamicGraphEncoder(NeuralBaseline):
 
     with s the typical change of each feature in a frame. The last line is not in the paper, whose
     decoder rebuilds the graph of a sequence; for states its users read the next one out of
-    :math:`a_t`, see :class:`DirectDynamicGraphEncoder`.
+    :math:`a_t`, see :class:`DyGrEncoderDirect`.
 
     The original sums over neighbours, embeds in 32 to 100 dimensions with as many rounds as the
     graph has layers, and pools the nodes of a frame into one vector before the LSTM; its port for
@@ -48,13 +48,13 @@ class DynamicGraphEncoder(NeuralBaseline):
         return _GraphThenTime(setting, self.hidden, self.rounds, self.residual)
 
 
-class DirectDynamicGraphEncoder(DynamicGraphEncoder):
+class DyGrEncoderDirect(DyGrEncoder):
     r"""DyGrEncoder that writes out the next state itself.
 
     .. math:: x_{t+1} = W \, \mathrm{relu}(a_t) + b
 
     as the thesis and the method's port for node features do. All else is as in
-    :class:`DynamicGraphEncoder`.
+    :class:`DyGrEncoder`.
     """
 
     name: ClassVar[str] = "dygrencoder-direct"

@@ -47,9 +47,7 @@ def fill_gaps(states: Array, fps: float) -> Array:
     return np.where(np.isnan(states), filled, states)
 
 
-def _moved(
-    states: Array, source: npt.NDArray[Any], frames: npt.NDArray[Any], fps: float
-) -> Array:
+def _moved(states: Array, source: npt.NDArray[Any], frames: npt.NDArray[Any], fps: float) -> Array:
     """Return the states of the source frames, moved to each frame at constant velocity."""
     start = np.take_along_axis(states, source[..., None], axis=-3)
     position, velocity = np.split(start, 2, axis=-1)

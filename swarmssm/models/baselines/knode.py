@@ -11,7 +11,7 @@ from swarmssm.errors import InputError
 from swarmssm.models.baselines.neural import Memory, NeuralBaseline, Setting, StepNetwork
 from swarmssm.scaling import Scaler
 
-__all__ = ["KnowledgeBasedOde", "Prior", "constant_velocity"]
+__all__ = ["KNODE", "Prior", "constant_velocity"]
 
 #: From states ``(..., individual, state)`` in the tracks' units and the graph
 #: ``(..., individual, individual)`` to what the states change by in a second.
@@ -24,7 +24,7 @@ def constant_velocity(states: Tensor, graph: Tensor) -> Tensor:
     return torch.cat([velocity, torch.zeros_like(velocity)], dim=-1)
 
 
-class KnowledgeBasedOde(NeuralBaseline):
+class KNODE(NeuralBaseline):
     r"""Knowledge-based neural ordinary differential equation (KNODE) for swarms.
 
     .. math::
@@ -58,7 +58,7 @@ class KnowledgeBasedOde(NeuralBaseline):
     )
     hidden: ClassVar[int] = 64
     order: int = 1
-    rows: ClassVar[int] = 640
+    rows: ClassVar[int] = 160
 
     def __init__(self, prior: Prior = constant_velocity) -> None:
         super().__init__()

@@ -30,7 +30,7 @@ def polynomial_terms(variables: Sequence[int], degree: int) -> list[Term]:
 
 
 def monomials(variables: Array, terms: Sequence[Term]) -> Array:
-    """Return the products of variables ``(..., variable)`` that terms stand for, ``(..., term)``."""
+    """Return products of variables ``(..., variable)``, one a term: ``(..., term)``."""
     made: dict[Term, Array] = {(): np.ones(variables.shape[:-1])}
 
     def product(term: Term) -> Array:

@@ -8,10 +8,10 @@ from torch import Tensor, nn
 from swarmssm.models.baselines.neural import Memory, NeuralBaseline, Setting, StepNetwork
 from swarmssm.models.baselines.recurrent import LookingNetwork
 
-__all__ = ["LongShortTermMemory", "LstmUnit"]
+__all__ = ["LSTM", "LstmUnit"]
 
 
-class LongShortTermMemory(NeuralBaseline):
+class LSTM(NeuralBaseline):
     r"""Long short-term memory of each individual's own states, blind to all others.
 
     .. math::

@@ -36,8 +36,8 @@ Numbers = npt.NDArray[np.int64]
 
 #: Scaled states are kept within so many standard deviations, so that no path becomes infinite.
 FARTHEST = 100.0
-#: Individuals, or pairs of them, in a batch that are looked at together when nothing is learned.
-ROWS_AT_ONCE = 20_000
+#: Individuals of all frames, or pairs of them, that are looked at together when nothing is learned.
+ROWS_AT_ONCE = 100_000
 PAIRS_AT_ONCE = 200_000
 #: Windows of the validation part by which the best weights are chosen, and how far they go.
 JUDGED_WINDOWS = 256
@@ -180,12 +180,12 @@ class NeuralBaseline(Baseline):
     """
 
     order: int = 20
-    ahead: ClassVar[int] = 10
+    ahead: ClassVar[int] = 6
     epochs: ClassVar[int] = 100
     learning_rate: ClassVar[float] = 3e-3
     clip: ClassVar[float] = 1.0
-    rows: ClassVar[int] = 320
-    pairs: ClassVar[int] = 6400
+    rows: ClassVar[int] = 80
+    pairs: ClassVar[int] = 800
     pairwise: ClassVar[bool] = False
     everybody: ClassVar[bool] = False
 
@@ -213,6 +213,8 @@ class NeuralBaseline(Baseline):
         trials = self._trials(states, fps, self.ahead)
         typical = _typical_changes(trials, max(self.ahead, JUDGED_STEPS))
         setting = Setting(states.shape[-1], typical[0], self.scaler, fps)
+        # What never changes is scored in standard deviations, and a residual leaves it alone.
+        typical = torch.where(typical > 1e-6, typical, 1.0)
         held = (
             None
             if training.validation is None
@@ -271,18 +273,17 @@ class NeuralBaseline(Baseline):
         count = -(-(frames - 1) // block) if frames > 1 else 0
         outside = ((0, 0), (block, count * block - (frames - 1)), (0, 0), (0, 0))
         padded = np.pad(rows[:, : max(frames - 1, 0)], outside, constant_values=np.nan)
-        places = np.arange(2 * block) + block * np.arange(count)[:, None]
-        for row, target in zip(padded, predicted, strict=True):
-            for some in _portions(places, self._at_once(individuals)):
-                window = row[some]
-                past = self._windows(window, fps)
-                with torch.no_grad():
-                    expected, _ = network.run(past.states, past.seen, past.graph)
-                found = scaler.inverse(expected[:, block:].double().numpy())
-                found[~known(window[:, block:])] = np.nan
-                after = some[:, block:].reshape(-1) - block + 1
-                flat = found.reshape(-1, individuals, features)
-                target[after[after < frames]] = flat[after < frames]
+        for some in _portions(np.arange(len(rows) * count), self._at_once(individuals, 2 * block)):
+            row, first = some[:, None] // count, some[:, None] % count * block
+            window = padded[row, first + np.arange(2 * block)]
+            past = self._windows(window, fps)
+            with torch.no_grad():
+                expected, _ = network.run(past.states, past.seen, past.graph)
+            found = scaler.inverse(expected[:, block:].double().numpy())
+            found[~known(window[:, block:])] = np.nan
+            target = first + 1 + np.arange(block)
+            inside = target < frames
+            predicted[np.broadcast_to(row, target.shape)[inside], target[inside]] = found[inside]
         return predicted.reshape(states.shape)
 
     def predict(
@@ -308,7 +309,7 @@ class NeuralBaseline(Baseline):
         once = states[0] if again > 1 else states
         rows = once.reshape(-1, *states.shape[-3:])[:, -self.order :]
         path = np.empty((again, len(rows), horizon, *states.shape[-2:]))
-        limit = self._at_once(states.shape[-2])
+        limit = self._at_once(states.shape[-2], self.order)
         for some in _portions(np.arange(len(rows)), limit):
             past = self._windows(rows[some], fps)
             there = past.known[:, -1]
@@ -351,7 +352,7 @@ class NeuralBaseline(Baseline):
         training: Training,
     ) -> None:
         individuals = trials.states.shape[-2]
-        size = self._at_once(individuals, self.rows, self.pairs)
+        size = self._batch(individuals, self.rows, self.pairs)
         frames = self.order + self.ahead
         batches = max(1, math.ceil(len(trials.origins) / (frames * size)))
         random = torch.Generator().manual_seed(training.seed)
@@ -392,7 +393,7 @@ class NeuralBaseline(Baseline):
     def _judge(self, held: Trials, typical: Tensor) -> Callable[[StepNetwork], float]:
         """Return the function that scores a network by its rollouts."""
         places = np.linspace(0, len(held.origins) - 1, min(JUDGED_WINDOWS, len(held.origins)))
-        limit = self._at_once(held.states.shape[-2])
+        limit = self._at_once(held.states.shape[-2], self.order)
         origins = held.origins[torch.from_numpy(np.unique(places.astype(np.int64)))]
         parts = [held.windows(some) for some in torch.split(origins, limit)]
 
@@ -429,10 +430,12 @@ class NeuralBaseline(Baseline):
         graph = graphs_of(torch.from_numpy(filled).float(), here, self.graph).float()
         return Windows(torch.from_numpy(scaled).float(), here, torch.from_numpy(seen), graph)
 
-    def _at_once(
-        self, individuals: int, rows: int = ROWS_AT_ONCE, pairs: int = PAIRS_AT_ONCE
-    ) -> int:
-        """Return how many windows are looked at together."""
+    def _at_once(self, individuals: int, frames: int = 1) -> int:
+        """Return how many windows of so many frames are looked at together."""
+        return self._batch(individuals, ROWS_AT_ONCE // frames, PAIRS_AT_ONCE // frames)
+
+    def _batch(self, individuals: int, rows: int, pairs: int) -> int:
+        """Return how many windows hold so many individuals, and pairs where those count."""
         most = rows // individuals
         if self.pairwise:
             most = min(most, pairs // individuals**2)
@@ -468,7 +471,7 @@ def _typical_changes(trials: Trials, most: int) -> Tensor:
         both = trials.known[:, k:] & trials.known[:, :-k]
         change = (trials.states[:, k:] - trials.states[:, :-k])[both]
         found = change.square().mean(0).sqrt() if len(change) else changes[-1]
-        changes.append(torch.where(found > 1e-6, found, 0.1))
+        changes.append(found)
     return torch.stack(changes)
 
 

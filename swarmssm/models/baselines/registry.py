@@ -4,6 +4,7 @@ import importlib
 
 from swarmssm.errors import InputError
 from swarmssm.models.baselines.base import Baseline
+from swarmssm.models.registry import find_part
 
 __all__ = ["RIVALS", "UNSEEDED", "rival"]
 
@@ -19,7 +20,7 @@ RIVALS = {
     "ridge-boids": "ridge_boids:RidgeBoids",
     "sindy-boids": "sindy:SindyBoids",
     "sindy-generic": "sindy:SindyGeneric",
-    "sindy-told": "sindy:SindyTold",
+    "sindy-told": "sindy_told:SindyTold",
     "sindy-pi": "sindy_pi:SindyPI",
     "sindy-autoencoder": "sindy_autoencoder:SindyAutoencoder",
     "lstm": "lstm:LSTM",
@@ -29,9 +30,9 @@ RIVALS = {
     "dygrencoder-direct": "dygrencoder:DyGrEncoderDirect",
     "swarmnet": "swarmnet:SwarmNet",
     "knode": "knode:KNODE",
-    "nri": "nri:NRI",
-    "nri-rnn": "nri:NRIRecurrent",
-    "dnri": "dnri:DNRI",
+    "nri": "nri:NeuralRelationalInference",
+    "nri-rnn": "nri:RecurrentRelationalInference",
+    "dnri": "dnri:DynamicRelationalInference",
 }
 #: Those that draw nothing while they learn.
 UNSEEDED = frozenset(
@@ -54,13 +55,22 @@ UNSEEDED = frozenset(
 def rival(name: str) -> type[Baseline]:
     """Return a baseline by its name.
 
+    Parameters
+    ----------
+    name
+        One of :data:`RIVALS`, or ``module:attribute`` of your own subclass of
+        :class:`~swarmssm.models.baselines.Baseline`. Importing a module runs its code.
+
     Raises
     ------
     InputError
         If there is no such baseline, or a library that it needs is not installed.
     """
     if name not in RIVALS:
-        raise InputError(f"baseline: {name!r} is unknown; choose one of {', '.join(RIVALS)}.")
+        own = find_part(name, dict.fromkeys(RIVALS), "method")
+        if not (isinstance(own, type) and issubclass(own, Baseline)):
+            raise InputError(f"method: {name} is no Baseline. Make it a subclass of Baseline.")
+        return own
     module, _, attribute = RIVALS[name].partition(":")
     try:
         found: type[Baseline] = getattr(importlib.import_module(f"{PLACE}.{module}"), attribute)

@@ -88,17 +88,21 @@ class RelationalBaseline(NeuralBaseline):
         super().learn(states, fps, dataclasses.replace(training, graph=None))
 
     def _trials(self, states: Array, fps: float, after: int) -> Trials:
-        """Cut windows with a whole history where there are any, and to train on up to the end."""
+        """Cut windows with a whole history where there are any, and to train on up to the end.
+
+        To train on, a trial counts as at least one window: so many origins are there for each.
+        """
         trials = super()._trials(states, fps, after)
-        if after == self.ahead:
-            last = trials.known.any(-1).long()
-            last = last.shape[1] - 1 - last.flip(1).argmax(1) - (self.order - 1)
-            ends = torch.stack([torch.arange(len(last)), last], dim=-1)
-            late = trials.origins[trials.origins[:, 1] >= self.order - 1]
-            trials.origins = torch.cat([late, ends[last > 0]]) if len(ends) else late
-        else:
-            late = trials.origins[trials.origins[:, 1] >= self.order - 1]
+        late = trials.origins[trials.origins[:, 1] >= self.order - 1]
+        if after != self.ahead:
             trials.origins = late if len(late) else trials.origins
+            return trials
+        there = trials.known[:, self.order - 1 : trials.known.shape[1] - after].any(-1).long()
+        last = there.shape[1] - 1 - there.flip(1).argmax(1)
+        counts = torch.bincount(late[:, 0], minlength=len(last))
+        copies = (self.order + self.ahead - counts).clamp(min=1) * (last > 0)
+        ends = torch.stack([torch.arange(len(last)), last], dim=-1)
+        trials.origins = torch.cat([late, ends.repeat_interleave(copies, dim=0)])
         return trials
 
     def _scaled_windows(self, states: Array, fps: float) -> tuple[Tensor, Tensor]:

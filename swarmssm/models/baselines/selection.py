@@ -101,7 +101,9 @@ def best_of(
     tolerance
         The first candidate whose error is above the smallest by no more than this will do.
     """
-    scored = [(rollout_error(baseline, states, fps, history), kept) for kept, baseline in candidates]
+    scored = [
+        (rollout_error(baseline, states, fps, history), kept) for kept, baseline in candidates
+    ]
     good_enough = min(error for error, _ in scored) + tolerance
     return next(kept for error, kept in scored if error <= good_enough)
 

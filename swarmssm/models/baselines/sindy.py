@@ -183,11 +183,13 @@ class SindyBoids(SparseAcceleration):
     with C, S and A as (3.16) to (3.18) of the thesis among the neighbours that the graph shows,
     exponent 1, and sparse coefficients :math:`\Xi` for each coordinate by sequentially
     thresholded least squares. The last three kinds of terms, in each coordinate, let a wall rise
-    more steeply than a cube, and let speed be limited. Brunton et al. threshold the coefficients themselves at a level that
-    the user sets (0.025 for their Lorenz system); here a term's contribution is held against the
-    acceleration, so that units do not matter, and the level is chosen among ``THRESHOLDS``
-    by rollouts on the validation part. They differentiate noisy data by total variation; here the
-    difference of velocities is taken, which makes it a rule for steps, as the tracks are.
+    more steeply than a cube, and let speed be limited.
+
+    Brunton et al. threshold the coefficients themselves at a level that the user sets (0.025 for
+    their Lorenz system); here a term's contribution is held against the acceleration, so that units
+    do not matter, and the level is chosen among ``THRESHOLDS`` by rollouts on the validation part.
+    They differentiate noisy data by total variation; here the difference of velocities is taken,
+    which makes it a rule for steps, as the tracks are.
     """
 
     name: ClassVar[str] = "sindy-boids"

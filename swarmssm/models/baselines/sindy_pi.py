@@ -1,9 +1,11 @@
 r"""SINDy-PI: sparse identification of dynamics that are a ratio of two sums of terms."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+import scipy.optimize
 
 from swarmssm.errors import InputError
 from swarmssm.graphs import GraphRule
@@ -63,6 +65,33 @@ class Ratio:
         return int(np.count_nonzero(self.numerator) + np.count_nonzero(self.denominator)) - 1
 
 
+@dataclass(frozen=True)
+class Steps:
+    """What one coordinate of the acceleration was in some steps, and what it is to follow from.
+
+    Attributes
+    ----------
+    terms, squares
+        Of numerator and denominator, ``(row, ...)``.
+    truth
+        Shape ``(row,)``.
+    least, greatest
+        What predictions are kept between.
+    """
+
+    terms: Array
+    squares: Array
+    truth: Array
+    least: float
+    greatest: float
+
+    def error(self, ratio: Ratio) -> float:
+        """Return the mean squared error of a law, infinite if it is not defined everywhere."""
+        found = np.clip(ratio(self.terms, self.squares), self.least, self.greatest)
+        error = float(((found - self.truth) ** 2).mean())
+        return error if np.isfinite(error) else float("inf")
+
+
 class SindyPI(AccelerationBaseline):
     r"""Implicit SINDy: each coordinate of the acceleration is a ratio of sums of terms.
 
@@ -73,10 +102,13 @@ class SindyPI(AccelerationBaseline):
     exponent 1, and all products of up to three of one's own place and velocity. Every term of this
     equation in turn is taken for the left-hand side and regressed on all others by sequentially
     thresholded least squares - that is the "parallel" of Kaheman et al., which finds implicit laws
-    although none is known to hold with coefficient 1 - and that equation is kept which, solved for
-    the acceleration, predicts it best in the validation part, or is sparser than the best and as
-    good within half a percent. As in the original, whose authors solve the same regressions by
-    thresholding and choose by the error on data that were not fitted.
+    although no term is known to be in them - and each that has the acceleration once more without
+    it on the right. That equation is kept which, solved for the acceleration, predicts it best in
+    the validation part, or is sparser than the best and as good within half a percent; the authors
+    too solve these regressions by thresholding and choose by the error on data that were not
+    fitted. Beyond the original, the best law with each set of denominator terms is fitted anew to
+    the accelerations before the last choice: where steps are noisy, an acceleration on the
+    right-hand side carries its noise into the regressors, which biases the coefficients.
 
     The steps of all individuals in all trials enter one regression, and no difference is taken from
     one trial to another; pysindy's own SINDy-PI library takes one trajectory only (its issue 428).
@@ -126,26 +158,22 @@ class SindyPI(AccelerationBaseline):
             _columns(variables[start : start + ROWS_AT_ONCE], targets[start : start + ROWS_AT_ONCE])
             for start in range(0, len(variables), ROWS_AT_ONCE)
         )
-        variables, truth = self._rows(late, fps)
-        some = np.linspace(0, len(truth) - 1, min(len(truth), MOST_JUDGED)).round().astype(int)
-        terms, squares = self._terms_and_squares(variables[some])
-        num_terms = terms.shape[-1]
+        num_terms = triangle.shape[1] - space * len(DENOMINATORS)
+        learned = _some(variables, targets)
+        judged = _some(*self._rows(late, fps))
         self.ratios = []
         for axis in range(space):
             implicit = num_terms + axis + space * np.arange(len(DENOMINATORS))
             picked = triangle[:, [*range(num_terms), *implicit]]
-            candidates = []
+            bounds = float(self.least[axis]), float(self.greatest[axis])
+            parts = [Steps(*part[:2], part[2][:, axis], *bounds) for part in (learned, judged)]
+            best: dict[tuple[bool, ...], tuple[float, Ratio]] = {}
             for ratio in _ratios(picked, num_terms):
-                found = np.clip(ratio(terms, squares), self.least[axis], self.greatest[axis])
-                error = ((found - truth[some, axis]) ** 2).mean()
-                if np.isfinite(error):
-                    candidates.append((float(error), ratio))
-            least = min(error for error, _ in candidates)
-            # What differs from an exact fit by rounding alone is as good.
-            enough = (1.0 + TOLERANCE) * least + 1e-20 * float((truth[some, axis] ** 2).mean())
-            good = [(ratio.size, error, index) for index, (error, ratio) in enumerate(candidates)
-                    if error <= enough]
-            self.ratios.append(candidates[min(good)[2]][1])
+                error, kind = parts[1].error(ratio), tuple((ratio.denominator != 0.0).tolist())
+                if kind not in best or error < best[kind][0]:
+                    best[kind] = error, ratio
+            laws = [law for _, ratio in best.values() for law in (ratio, _refined(ratio, parts[0]))]
+            self.ratios.append(_sparsest_good(laws, parts[1]))
 
     def acceleration(self, states: Array) -> Array:
         """Return the ratios."""
@@ -154,7 +182,7 @@ class SindyPI(AccelerationBaseline):
         found = np.empty((len(flat), len(ratios)))
         for start in range(0, len(flat), ROWS_AT_ONCE):
             part = slice(start, start + ROWS_AT_ONCE)
-            terms, squares = self._terms_and_squares(flat[part])
+            terms, squares = _terms_and_squares(flat[part])
             values = np.stack([ratio(terms, squares) for ratio in ratios], axis=-1)
             found[part] = np.clip(values, self.least, self.greatest)
         return found.reshape(*states.shape[:-1], len(ratios))
@@ -177,10 +205,6 @@ class SindyPI(AccelerationBaseline):
         usable = known(targets)
         return self._variables(states[:, :-1])[usable], targets[usable]
 
-    def _terms_and_squares(self, variables: Array) -> tuple[Array, Array]:
-        """Return terms of the numerator, and what the denominator is made of."""
-        return _terms_and_squares(variables)
-
 
 def _terms(space: int) -> list[Term]:
     """Return the terms of the numerator."""
@@ -192,7 +216,10 @@ def _terms_and_squares(variables: Array) -> tuple[Array, Array]:
     """Return terms of the numerator, and what the denominator is made of, ``(row, ...)``."""
     space = variables.shape[-1] // 5
     cohesion, _, _, place, velocity = np.split(variables, 5, axis=-1)
-    squares = [np.ones(len(variables)), *((part**2).sum(-1) for part in (velocity, place, cohesion))]
+    squares = [
+        np.ones(len(variables)),
+        *((part**2).sum(-1) for part in (velocity, place, cohesion)),
+    ]
     return monomials(variables, _terms(space)), np.stack(squares, axis=-1)
 
 
@@ -203,22 +230,76 @@ def _columns(variables: Array, targets: Array) -> Array:
     return np.concatenate([terms, implicit], axis=-1)
 
 
-def _ratios(triangle: Array, num_terms: int) -> list[Ratio]:
-    """Return the law that each left-hand side and threshold gives, where it has an acceleration."""
+def _some(variables: Array, targets: Array) -> tuple[Array, Array, Array]:
+    """Return terms, squares and accelerations of not too many rows."""
+    picked = np.linspace(0, len(targets) - 1, min(len(targets), MOST_JUDGED)).round().astype(int)
+    return *_terms_and_squares(variables[picked]), targets[picked]
+
+
+def _ratios(triangle: Array, num_terms: int) -> Iterator[Ratio]:
+    """Yield the law that each left-hand side and threshold gives, where it has an acceleration."""
     columns = triangle.shape[1]
-    found = []
     for left in range(columns):
-        others = [column for column in range(columns) if column != left]
-        for threshold in THRESHOLDS:
-            law = np.empty(columns)
-            law[left] = -1.0
-            law[others] = sparse_coefficients(triangle[:, [*others, left]], 1, threshold)[0]
-            numerator, denominator = law[:num_terms], -law[num_terms:]
-            # Any multiple says the same: the constant of the denominator is brought to 1.
-            whole = denominator[0] or denominator[np.argmax(np.abs(denominator))]
-            if whole != 0.0:
-                found.append(Ratio(numerator / whole, denominator / whole))
-    return found
+        every = [column for column in range(columns) if column != left]
+        explicit = [every[:num_terms]] if left >= num_terms else []
+        for right in [every, *explicit]:
+            chosen = triangle[:, [*right, left]]
+            for threshold in THRESHOLDS:
+                law = np.zeros(columns)
+                law[left] = -1.0
+                law[right] = sparse_coefficients(chosen, 1, threshold)[0]
+                numerator, denominator = law[:num_terms], -law[num_terms:]
+                # Any multiple says the same: the constant of the denominator is brought to 1.
+                whole = denominator[0] or denominator[np.argmax(np.abs(denominator))]
+                if whole != 0.0:
+                    yield Ratio(numerator / whole, denominator / whole)
+
+
+def _refined(ratio: Ratio, steps: Steps) -> Ratio:
+    """Return the law with the same terms whose accelerations have the least squared error."""
+    upper = np.flatnonzero(ratio.numerator)
+    # The coefficient that is 1 sets the scale and stays.
+    lower = np.flatnonzero((ratio.denominator != 0.0) & (ratio.denominator != 1.0))
+    if not len(upper) or not np.isfinite(steps.error(ratio)):
+        return ratio
+    terms, squares = steps.terms[:, upper], steps.squares
+    limits = 2.0 * steps.least - steps.greatest, 2.0 * steps.greatest - steps.least
+
+    def law(values: Any) -> Ratio:
+        numerator, denominator = np.zeros_like(ratio.numerator), ratio.denominator.copy()
+        numerator[upper], denominator[lower] = values[: len(upper)], values[len(upper) :]
+        return Ratio(numerator, denominator)
+
+    def errors(values: Any) -> Array:
+        return np.asarray(np.clip(law(values)(steps.terms, squares), *limits) - steps.truth)
+
+    def slopes(values: Any) -> Array:
+        now = law(values)
+        ahead = now(steps.terms, squares)
+        with np.errstate(all="ignore"):
+            below = (squares @ now.denominator)[:, None]
+            rising = -ahead[:, None] * squares[:, lower] / below
+            found = np.concatenate([terms / below, rising], axis=1)
+        # Beyond the limits nothing changes.
+        inside = (ahead > limits[0]) & (ahead < limits[1])
+        return np.asarray(np.where(inside[:, None], found, 0.0))
+
+    begin = np.concatenate([ratio.numerator[upper], ratio.denominator[lower]])
+    found = scipy.optimize.least_squares(errors, begin, slopes, x_scale="jac", max_nfev=30)
+    return min((ratio, law(found.x)), key=steps.error)
+
+
+def _sparsest_good(laws: list[Ratio], steps: Steps) -> Ratio:
+    """Return the law with the fewest terms among those that are about as good as the best."""
+    errors = [steps.error(law) for law in laws]
+    # What differs from an exact fit by rounding alone is as good.
+    enough = (1.0 + TOLERANCE) * min(errors) + 1e-20 * float((steps.truth**2).mean())
+    good = [
+        (law.size, error, k)
+        for k, (law, error) in enumerate(zip(laws, errors, strict=True))
+        if error <= enough
+    ]
+    return laws[min(good)[2]]
 
 
 def _sum(values: Array, labels: tuple[str, ...] | list[str], digits: int) -> str:

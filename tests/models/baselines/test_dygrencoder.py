@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from swarmssm.models.baselines.dygrencoder import DynamicGraphEncoder
+from swarmssm.models.baselines.dygrencoder import DyGrEncoder
 from swarmssm.models.baselines.neural import Setting
 from swarmssm.scaling import Scaler
 
@@ -11,7 +11,7 @@ from swarmssm.scaling import Scaler
 def network():
     torch.manual_seed(0)
     scaler = Scaler("none", (0.0,) * 4, (1.0,) * 4)
-    return DynamicGraphEncoder().build(Setting(4, torch.full((4,), 0.5), scaler, 10.0))
+    return DyGrEncoder().build(Setting(4, torch.full((4,), 0.5), scaler, 10.0))
 
 
 def test_one_step_by_hand():

@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from swarmssm.models.baselines.lstm import LongShortTermMemory, LstmUnit
+from swarmssm.models.baselines.lstm import LSTM, LstmUnit
 from swarmssm.models.baselines.training import Training
 
 FPS = 10.0
@@ -48,9 +48,10 @@ def alternating(trials, frames, seed):
 
 
 def test_it_remembers():
-    baseline = LongShortTermMemory()
-    baseline.epochs = 60
-    baseline.fit_states(alternating(30, 100, 0), FPS, Training(alternating(5, 100, 1)))
+    baseline = LSTM()
+    baseline.order, baseline.ahead = 8, 2
+    baseline.epochs, baseline.learning_rate = 10, 1e-2
+    baseline.fit_states(alternating(30, 100, 0), FPS, Training())
     test = alternating(20, 100, 2)
     error = ((baseline.one_step(test, FPS) - test)[:, 2:] ** 2).mean()
     # The noise of the test itself: 6 sd of a mean of 20 * 98 * 12 squares, 0.06; the best forecast

@@ -9,12 +9,12 @@ import torch
 from swarmssm.errors import InputError
 from swarmssm.graphs import GraphRule
 from swarmssm.models.baselines.dcrnn import (
-    DiffusionConvolutionalNetwork,
-    DirectDiffusionConvolutionalNetwork,
+    DCRNN,
+    DCRNNDirect,
 )
-from swarmssm.models.baselines.dygrencoder import DirectDynamicGraphEncoder, DynamicGraphEncoder
-from swarmssm.models.baselines.knode import KnowledgeBasedOde
-from swarmssm.models.baselines.lstm import LongShortTermMemory
+from swarmssm.models.baselines.dygrencoder import DyGrEncoderDirect, DyGrEncoder
+from swarmssm.models.baselines.knode import KNODE
+from swarmssm.models.baselines.lstm import LSTM
 from swarmssm.models.baselines.neural import NeuralBaseline, StepNetwork
 from swarmssm.models.baselines.swarmnet import SwarmNet
 from swarmssm.models.baselines.training import Training
@@ -23,13 +23,13 @@ from swarmssm.tracks import make_tracks
 FPS = 10.0
 RULE = GraphRule.parse("radius:2.0")
 KINDS = (
-    LongShortTermMemory,
-    DiffusionConvolutionalNetwork,
-    DirectDiffusionConvolutionalNetwork,
-    DynamicGraphEncoder,
-    DirectDynamicGraphEncoder,
+    LSTM,
+    DCRNN,
+    DCRNNDirect,
+    DyGrEncoder,
+    DyGrEncoderDirect,
     SwarmNet,
-    KnowledgeBasedOde,
+    KNODE,
 )
 
 
@@ -184,7 +184,7 @@ def test_pickle(kind):
 
 
 def test_draws_spread_as_the_errors_do():
-    baseline = fitted(LongShortTermMemory)
+    baseline = fitted(LSTM)
     states = walks(trials=1, frames=25, seed=12)
     many = np.broadcast_to(states, (3000, *states.shape))
     draws = baseline.predict(many, 1, FPS, np.random.default_rng(1))
@@ -199,7 +199,7 @@ def test_draws_spread_as_the_errors_do():
 
 
 def test_draws_go_on_from_what_was_drawn():
-    baseline = fitted(KnowledgeBasedOde)
+    baseline = fitted(KNODE)
     states = walks(trials=1, seed=13)
     many = np.broadcast_to(states, (2, *states.shape))
     draws = baseline.predict(many, 2, FPS, np.random.default_rng(1))
@@ -211,7 +211,7 @@ def test_draws_go_on_from_what_was_drawn():
 
 
 def test_a_repeated_history_gives_the_same_path_as_a_copied_one():
-    baseline = fitted(DynamicGraphEncoder)
+    baseline = fitted(DyGrEncoder)
     states = walks(trials=2, seed=14)
     many = np.broadcast_to(states, (3, *states.shape))
     paths = [baseline.predict(some, 3, FPS) for some in (many, many.copy())]
@@ -282,9 +282,9 @@ def test_two_steps_are_enough_to_learn_from():
 
 def test_mistakes_are_told():
     with pytest.raises(InputError, match="lstm: fit it first"):
-        LongShortTermMemory().predict(walks(), 1, FPS)
+        LSTM().predict(walks(), 1, FPS)
     with pytest.raises(InputError, match="knode: fit it first"):
-        KnowledgeBasedOde().one_step(walks(), FPS)
+        KNODE().one_step(walks(), FPS)
     with pytest.raises(InputError, match="horizon: it must be at least 1"):
         fitted(Counting).predict(walks(), 0, FPS)
     with pytest.raises(TypeError, match="must define build"):
