@@ -158,6 +158,7 @@ def report(
             fitted,
             tracks,
             out,
+            title=f"{fitted.settings.model} on {path.name}",
             rivals=load_rivals(against, fitted, trust_code) or None,
             checks=checks,
             forces=forces,

@@ -6,9 +6,14 @@ from collections.abc import Iterator, Mapping
 import pyro
 import torch
 
-from swarmssm.inference.filtering.evidence import Method, collapsed_evidence
+from swarmssm.inference.filtering.evidence import (
+    Method,
+    collapsed_evidence,
+    linearization_points,
+)
 from swarmssm.inference.filtering.layouts import Layout, Points
 from swarmssm.models import InferredEdges, StateSpaceModel, SwarmBatch
+from swarmssm.models.edges import EdgeTypes
 
 __all__ = ["Collapsed", "collapsed", "population_evidence", "windows_plate"]
 
@@ -64,8 +69,33 @@ class Collapsed:
         edges = self.model.edges
         if isinstance(edges, InferredEdges):
             with windows_plate(batch):
-                batch = edges.put(batch, pyro.sample("edges", edges.prior(batch)))
+                prior = edges.prior(batch)
+                types = pyro.sample("edges", prior)
+                batch = edges.put(batch, types)
+                term = self._edge_term(edges, batch, values, types, prior)
+                if term is not None:
+                    pyro.factor("edge_conditionals", term)
         pyro.factor("evidence", self.evidence(batch, values))
+
+    def _edge_term(
+        self,
+        edges: InferredEdges,
+        batch: SwarmBatch,
+        values: Mapping[str, torch.Tensor],
+        types: torch.Tensor,
+        prior: EdgeTypes,
+    ) -> torch.Tensor | None:
+        """Return what teaches the edges, with the most probable path for the path."""
+        if not types.requires_grad:
+            return None
+        points = self.points
+        if points is None:
+            points = linearization_points(self.model, batch, values, layout=self.layout)
+        path = points.mean.to(batch.observations.dtype)
+        chain = self.model.chain(batch, {name: value.detach() for name, value in values.items()})
+        return edges.conditional_term(
+            chain.transition, path, batch.present, chain.inputs, types, prior
+        )
 
     def evidence(self, batch: SwarmBatch, values: Mapping[str, torch.Tensor]) -> torch.Tensor:
         """Return what the windows say of the evidence of their population, at given values."""

@@ -17,7 +17,13 @@ from swarmssm.errors import InputError, WorkError
 from swarmssm.graphs import EdgeList, Graph, GraphRule
 from swarmssm.models.base import SwarmModel
 from swarmssm.models.batch import SwarmBatch
-from swarmssm.models.edges import Edges, InferredEdges, LatentEdges, ObservedEdges
+from swarmssm.models.edges import (
+    Edges,
+    EdgeTypes,
+    InferredEdges,
+    LatentEdges,
+    ObservedEdges,
+)
 from swarmssm.models.emissions.base import Emission
 from swarmssm.models.layers import check_sizes
 from swarmssm.models.markov import MarkovChain, StepInputs
@@ -237,14 +243,19 @@ class StateSpaceModel(SwarmModel):
             pyro.poutine.scale(scale=batch.window_weight),
         ):
             self._check_type(batch)
+            drawn = None
             if isinstance(self.edges, InferredEdges):
-                batch = self.edges.put(batch, pyro.sample("edges", self.edges.prior(batch)))
+                prior = self.edges.prior(batch)
+                drawn = prior, pyro.sample("edges", prior)
+                batch = self.edges.put(batch, drawn[1])
             chain = self.chain(batch, values)
             if self.emission is None:
                 self._check_features(batch, self.state_dim)
                 states: torch.Tensor = pyro.sample("states", chain, obs=batch.observations)
+                self._teach_edges(chain, states, drawn)
                 return states
             states = pyro.sample("states", chain)
+            self._teach_edges(chain, states, drawn)
             observed = self.emission(states)
             if len(observed.event_shape) != 1:
                 raise InputError(
@@ -256,6 +267,24 @@ class StateSpaceModel(SwarmModel):
             observed = observed.mask(batch.mask).to_event(2)
             pyro.sample("observations", observed, obs=batch.observations)
         return states
+
+    def _teach_edges(
+        self,
+        chain: MarkovChain,
+        states: torch.Tensor,
+        drawn: tuple[EdgeTypes, torch.Tensor] | None,
+    ) -> None:
+        """Let inferred edges learn from the path; see :class:`InferredEdges`."""
+        if drawn is None or not isinstance(self.edges, InferredEdges):
+            return
+        there = chain.mask_present
+        assert there is not None, "the chain of windows says who is there"
+        prior, types = drawn
+        term = self.edges.conditional_term(
+            chain.transition, states, there, chain.inputs, types, prior
+        )
+        if term is not None:
+            pyro.factor("edge_conditionals", term)
 
     def _check_type(self, batch: SwarmBatch) -> None:
         """Refuse observations whose products with the model's matrices torch would refuse."""

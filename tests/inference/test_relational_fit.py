@@ -109,21 +109,54 @@ def test_the_bound_of_every_law_reaches_the_encoder(name, observed, guide, edges
     assert sum(float(w.grad.abs().sum()) for w in weights) > 0
 
 
+def first_pair(law, types, batch):
+    """Return how much more probable the path is with the edge from 1 to 0 than without."""
+    scores = []
+    for kind in (0, 1):
+        given = types.clone()
+        given[:, :, 0, 1] = torch.eye(2)[kind]
+        put = law.edges.put(batch, given)
+        scores.append(law.chain(put, {}).log_prob(batch.observations))
+    return scores[1] - scores[0]
+
+
+def test_the_encoder_learns_the_conditional_probability_by_hand():
+    model = hooke(3, 1.0, RelationalEdges(scales(3), sparsity=0.7))
+    batch = model.simulate(6, 3, num_windows=4, seed=1).batch()
+    prior = model.edges.prior(batch)
+    logits = torch.zeros(4, 1, 3, 3, 2, requires_grad=True)
+    types = model.edges.distribution(logits, prior.pairs).rsample()
+    put = model.edges.put(batch, types)
+    chain = model.chain(put, {})
+    term = model.edges.conditional_term(
+        chain.transition, batch.observations, batch.mask, chain.inputs, types, prior
+    )
+    assert not term.any()
+    (gradient,) = torch.autograd.grad(term.sum(), logits)
+    odds = first_pair(model, types.detach(), batch) + np.log(0.3 / 0.7)
+    # Of the cross-entropy with the conditional probability, at a probability of one half.
+    assert torch.allclose(gradient[:, 0, 0, 1, 1], torch.sigmoid(odds) - 0.5, atol=1e-3)
+    assert not gradient[:, 0, 0, 0].any()
+
+
+@pytest.mark.parametrize("gradient", ["straight-through", "relaxed"])
 @pytest.mark.parametrize("edges", ["relational", "dynamic-relational"])
-def test_gradients_of_the_data_reach_the_encoder_and_not_only_those_of_the_prior(edges):
+def test_other_gradients_come_through_the_graph(edges, gradient):
     with quiet_pyro():
         torch.manual_seed(0)
-        model = built("linear", "states", edges, 2)
+        options = {"gradient": gradient, "hidden": 8}
+        model = with_edges(linear(scales(), observed="states"), scales(), edges, 2, options)
         guide = ParameterGuide(model)
         batch = straight()
-        prior = model.edges.prior(batch)
-        law = model.edges.posterior(batch, guide.edges_guide.encoder, prior)
+        law = model.edges.posterior(batch, guide.edges_guide.encoder, model.edges.prior(batch))
         put = model.edges.put(batch, law.rsample())
         values = guide.parameters_guide.median()
         model.chain(put, values).log_prob(batch.observations).sum().backward()
-    assert float(guide.edges_guide.encoder.head[-1].weight.grad.abs().sum()
-                 if edges != "relational"
-                 else guide.edges_guide.encoder.head.weight.grad.abs().sum()) > 0  # fmt: skip
+        found = sum(float(w.grad.abs().sum()) for w in guide.edges_guide.encoder.parameters())
+        assert found > 0
+        guide.zero_grad()
+        Bound(model, guide)(batch).backward()
+    assert all(w.grad.isfinite().all() for w in guide.edges_guide.encoder.parameters())
 
 
 def test_importance_weights_are_those_of_drawn_edges():
@@ -167,30 +200,32 @@ def exact_marginals(model, batch):
     return found
 
 
-def test_planted_graphs_are_found_as_well_as_can_be():
-    n = 3
-    edges = RelationalEdges(scales(n), hidden=16)
-    model = hooke(n, 3.0, edges)
-    drawn = model.simulate(12, n, num_windows=600, seed=4)
-    truth, batch = drawn.adjacency[:, 0], drawn.batch()
-    train, test = batch.select(torch.arange(500)), batch.select(torch.arange(500, 600))
+def test_planted_graphs_are_found_nearly_as_well_as_can_be():
+    n, number = 3, 400
+    units = replace(scales(n), spacing=8.0, speed=5.0, step=0.6)
+    model = hooke(n, 1.0, RelationalEdges(units, hidden=16), noise=0.5)
+    drawn = model.simulate(10, n, num_windows=number, seed=4)
+    truth, batch = drawn.adjacency[:, 0] > 0.5, drawn.batch()
+    train = batch.select(torch.arange(number - 100))
+    test = batch.select(torch.arange(number - 100, number))
     off = ~torch.eye(n, dtype=torch.bool)
-    best = exact_marginals(model, test)
-    right = (((best > 0.5) == (truth[500:] > 0.5))[:, off]).float().mean()
+
+    def accuracy(probability):
+        return float(((probability > 0.5) == truth[-100:])[:, off].float().mean())
+
     with quiet_pyro(), torch.random.fork_rng():
         torch.manual_seed(0)
         guide = ParameterGuide(model)
         bound = Bound(model, guide)
         optimizer = torch.optim.Adam(guide.parameters(), lr=0.01)
-        for _ in range(250):
+        for _ in range(120):
             optimizer.zero_grad()
-            bound(train.select(torch.randperm(500)[:100])).backward()
+            bound(train.select(torch.randperm(len(train))[:60])).backward()
             optimizer.step()
         found = guide.with_edges(test, sample=False).adjacency[:, 0]
-    learned = (((found > 0.5) == (truth[500:] > 0.5))[:, off]).float().mean()
-    # All graphs of a receiver can be tried: nobody can do better than that in the mean.
-    assert right > 0.9
-    assert learned > right - 0.1
+    # All graphs of a receiver can be tried: nobody is right more often in the mean.
+    assert accuracy(exact_marginals(model, test)) > 0.97
+    assert accuracy(found) > 0.9
 
 
 def springy(trials=3, frames=40, individuals=4, seed=0):
@@ -300,7 +335,7 @@ def test_the_collapsed_bound_reaches_the_encoder():
     with quiet_pyro():
         torch.manual_seed(0)
         model = built("linear", "positions", "relational", 2)
-        guide = LinearizedGuide(model)
+        guide = LinearizedGuide(model, given=0)
 
         def draw(batch):
             guide.parameters_guide()
@@ -315,6 +350,7 @@ def test_the_collapsed_bound_reaches_the_encoder():
         put = guide.with_edges(batch)
         types = put.edge_types.clone().requires_grad_()
         values = guide.parameters_guide.median()
+        model.edges.gradient = "straight-through"
         evidence = collapsed(model).evidence(model.edges.put(batch, types), values)
         (gradient,) = torch.autograd.grad(evidence, types)
     assert encoder.isfinite().all()

@@ -9,6 +9,8 @@ import sklearn.metrics
 from swarmssm.analysis.benchmark.task import Task
 from swarmssm.inference import Fit
 from swarmssm.metrics.masked import known
+from swarmssm.models import StateSpaceModel
+from swarmssm.models.edges import InferredEdges
 from swarmssm.splits import Segment, take
 from swarmssm.tracks import Array, states_of
 
@@ -42,7 +44,7 @@ def edge_scores(task: Task, method: Any) -> dict[str, float]:
     """
     if "simulation" not in task.tracks.attrs or "adjacency" not in task.tracks:
         return {}
-    if not task.split.validation or not hasattr(method, "edge_probabilities"):
+    if not task.split.validation or not _tells(method):
         return {}
     chosen = _pairs(task, method, task.split.validation)
     scored = _pairs(task, method, task.split.test)
@@ -62,6 +64,14 @@ def edge_scores(task: Task, method: Any) -> dict[str, float]:
         "edge_auc_distance": _auc(scored.truth, -scored.distance),
         "edge_auc_permuted": float(np.mean(permuted)),
     }
+
+
+def _tells(method: Any) -> bool:
+    """Return whether a method infers edges."""
+    if isinstance(method, Fit):
+        model = method.model
+        return isinstance(model, StateSpaceModel) and isinstance(model.edges, InferredEdges)
+    return hasattr(method, "edge_probabilities")
 
 
 class _Pairs:

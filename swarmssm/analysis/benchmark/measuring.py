@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from swarmssm import metrics, simulate
+from swarmssm import metrics
 from swarmssm.analysis.benchmark.edges import edge_scores
 from swarmssm.analysis.benchmark.own import OWN
 from swarmssm.analysis.benchmark.rivals import RivalForecaster
@@ -129,7 +129,9 @@ def _fitted(
             "parameters": fit.num_parameters,
         }
         return forecaster, about, fit
-    baseline = true_rule(task) if name == FLOOR else _rival(task, name)
+    baseline: Baseline = (
+        true_rule(task) if name == FLOOR else rival(name).for_tracks(task.tracks)
+    )
     terms = Training(
         task.validation, None if task.graph == "complete" else task.rule(), seconds, seed
     )
@@ -140,13 +142,6 @@ def _fitted(
         "parameters": baseline.num_parameters,
     }
     return RivalForecaster(task, baseline), about, baseline
-
-
-def _rival(task: Task, name: str) -> Baseline:
-    """Return a baseline that is not fitted yet, told the true forms where that is its point."""
-    kind = rival(name)
-    told = getattr(kind, "told_by", None)
-    return kind() if told is None else told(simulate.law_of(task.tracks))
 
 
 def _one_step(task: Task, forecaster: Forecaster) -> dict[str, float]:

@@ -130,7 +130,9 @@ def _scores(task: Task, arrays: Mapping[str, Sequence[Measured]], names: list[st
         }
         for name in names
     }
-    data = mean_scores(found, axes=(2,))
+    nothing = np.zeros((0, len(trials), len(task.steps)))
+    empty = {"crps": nothing, "log_score": nothing, "number": np.zeros(nothing.shape[1:])}
+    data = mean_scores(found, axes=(2,)) if found else empty
     over = ("model", "origin", "horizon")
     unit = str(task.tracks.attrs.get("unit", "")) or "1"
     return xr.Dataset(
@@ -215,8 +217,9 @@ def shown_rows(results: Results) -> list[dict[str, str]]:
 def short_rows(results: Results) -> list[dict[str, str]]:
     """Return those columns that fit on a terminal."""
     last = results.task.steps[-1]
-    kept = ("method", "MSE (4.2)", "MAE (4.3)", f"{last} steps", "AMD error", "AVD error")
-    kept += (f"CRPS {last}", f"log score {last}", "edge AUC", "training, CPU s", "parameters")
+    errors = ["MSE (4.2)", "MAE (4.3)", f"{last} steps", "AMD error", "AVD error"]
+    others = [f"CRPS {last}", f"log score {last}", "edge AUC", "training, CPU s", "parameters"]
+    kept = ["method", *errors, *others]
     return [{t: row[t] for t in kept if t in row} for row in shown_rows(results)]
 
 

@@ -48,9 +48,9 @@ def plot_benchmark(
     figure, ax = new_axes(ax, (7.6, 4.6))
     names = [str(name) for name in errors["model"].values]
     ahead = errors["step"].to_numpy() / (1.0 if fps is None else fps)
-    last = errors.isel(step=-1).to_series()
+    last = {name: float(errors.sel(model=name)[-1]) for name in names}
     rivals = [name for name in names if name not in own and name not in LINE_STYLES]
-    best = sorted(rivals, key=lambda name: float(np.nan_to_num(last[name], nan=np.inf)))[:NAMED]
+    best = sorted(rivals, key=lambda name: np.nan_to_num(last[name], nan=np.inf))[:NAMED]
     for name in names:
         values = np.where(np.isfinite(errors.sel(model=name)), errors.sel(model=name), np.nan)
         label, width = name, 1.2
@@ -74,13 +74,15 @@ def plot_benchmark(
         )
     if len(rivals) > len(best):
         ax.plot([], [], color=OTHERS, linewidth=0.8, label=f"{len(rivals) - len(best)} others")
-    if np.isfinite(errors).any() and float(errors.where(np.isfinite(errors)).min()) > 0.0:
+    finite = errors.to_numpy()[np.isfinite(errors.to_numpy())]
+    if finite.size and finite.min() > 0.0:
         log_scale(ax)
     # What runs away would leave all others on the floor of the figure.
-    ends = last[np.isfinite(last)]
+    ends = [value for value in last.values() if np.isfinite(value)]
     if len(ends) > 2:
         ax.set_ylim(top=min(ax.get_ylim()[1], 4.0 * float(np.quantile(ends, 0.75))))
     ax.set_xlabel("steps ahead" if fps is None else "time ahead (s)")
     ax.set_ylabel("squared error of scaled states")
-    ax.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    if names:
+        ax.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure, ax

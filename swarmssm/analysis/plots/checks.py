@@ -66,7 +66,7 @@ def plot_check_overview(checked: xr.Dataset, ax: Axes | None = None) -> tuple[Fi
     order = np.argsort(-np.nan_to_num(np.abs(checked["place"].to_numpy()), nan=-1.0), kind="stable")
     one = checked.isel(statistic=order)
     names = one["title"].to_numpy().astype(str)
-    figure, ax = new_axes(ax, (7.6, 1.3 + 0.27 * len(names)))
+    figure, ax = new_axes(ax, (6.9, 1.3 + 0.27 * len(names)))
     rows = np.arange(len(names))
     bars = quantiles(one["place_replicated"].to_numpy())
     bars = np.clip(np.nan_to_num(bars), -FARTHEST, FARTHEST)
@@ -88,7 +88,8 @@ def plot_check_overview(checked: xr.Dataset, ax: Axes | None = None) -> tuple[Fi
     for row, p_value, verdict in zip(
         rows, one["p_value"].to_numpy(), one["verdict"].to_numpy(), strict=True
     ):
-        text = "" if np.isnan(p_value) else f"p = {_p(p_value)}  {verdict}"
+        word = _word(one.isel(statistic=row))
+        text = "" if np.isnan(p_value) else f"p = {_p(p_value)}  {word}"
         ax.annotate(
             text, (1.01, row), xycoords=("axes fraction", "data"), va="center", fontsize=8,
             color=VERDICT_COLOURS[str(verdict)] if verdict != "alike" else BAND,
@@ -163,7 +164,7 @@ def plot_statistic(checked: xr.Dataset, name: str, ax: Axes | None = None) -> tu
     draw[own.ndim](ax, own, drawn)
     one = checked.sel(statistic=name)
     verdict = str(one["verdict"].item())
-    mark = "" if np.isnan(one["p_value"]) else f"\n{verdict}, p = {_p(float(one['p_value']))}"
+    mark = "" if np.isnan(one["p_value"]) else f"\n{_word(one)}, p = {_p(float(one['p_value']))}"
     ax.set_title(f"{own.attrs['long_name']}{mark}", fontsize=10, parse_math=False)
     if verdict != "alike":
         ax.title.set_color(VERDICT_COLOURS[verdict])
@@ -314,6 +315,16 @@ def _plot_map(ax: Axes, own: xr.DataArray, drawn: xr.DataArray) -> None:
     figure_of(ax).colorbar(image, ax=ax, label="share, minus replicates'", shrink=0.9)
     ax.set_xlabel(_label(second.attrs["long_name"], second.attrs["units"]), parse_math=False)
     ax.set_ylabel(_label(first.attrs["long_name"], first.attrs["units"]), parse_math=False)
+
+
+def _word(one: xr.Dataset) -> str:
+    """Return the verdict on a statistic in a word or two."""
+    verdict = str(one["verdict"].item())
+    farthest = float(np.nanmax(np.abs(one["place_replicated"].to_numpy()), initial=0.0))
+    if verdict == "alike" and abs(float(one["place"])) > farthest > 0.0:
+        # It is farther out than all replicates, of which there are too few to say so.
+        return "too few draws"
+    return verdict
 
 
 def _label(text: str, unit: str) -> str:

@@ -21,6 +21,12 @@ from swarmssm.analysis.plots.style import (
 
 __all__ = ["plot_collective", "plot_horizon_errors", "plot_training"]
 
+#: Sizes of a figure of the loss alone, and with one and two errors beside it.
+SIZES = ((6.4, 3.4), (8.0, 3.2), (9.6, 3.1))
+#: Points that are drawn one by one.
+FEW = 3
+#: A loss that is so many times the usual range above the lowest is a spike.
+SPIKE = 20.0
 HORIZON_LABELS = {
     "squared_error": "mean squared error (scaled)",
     "forecast_mse": "MSE (4.2)",
@@ -123,7 +129,7 @@ def plot_horizon_errors(
 def plot_training(
     history: xr.Dataset, axes: npt.NDArray[Any] | None = None
 ) -> tuple[Figure, npt.NDArray[Any]]:
-    """Draw the course of training (figs 4.9, 4.10): loss, MSE and MAE over epochs.
+    """Draw the course of training (figs 4.9, 4.10): loss, and MSE and MAE, over epochs.
 
     Parameters
     ----------
@@ -131,15 +137,18 @@ def plot_training(
         Over ``epoch``: ``loss``, ``validation_loss``, ``mse``, ``mae``; what is absent is left
         out.
     axes
-        Three axes; new ones if absent.
+        As many as there is to draw: one for the loss, and one each for MSE and MAE if they are
+        there; new ones if absent.
 
     Returns
     -------
-    Figure and axes ``(3,)``. Errors have a logarithmic axis. The loss, a negative evidence lower
-    bound, has one too as long as it stays above 0, else one that is linear from -1 to 1 and
-    logarithmic on both sides.
+    Figure and axes ``(1 to 3,)``. Errors have a logarithmic axis. The loss, a negative evidence
+    lower bound, has one too as long as it stays above 0, else one that is linear from -1 to 1 and
+    logarithmic on both sides. Where single steps leave the usual range by far it leaves the axis.
     """
-    figure, grid = new_grid(axes, 1, 3, (9.6, 3.1))
+    told = {"mse": "MSE (4.2)", "mae": "MAE (4.3)"}
+    there = [name for name in told if name in history and np.isfinite(history[name]).any()]
+    figure, grid = new_grid(axes, 1, 1 + len(there), SIZES[len(there)])
     epochs = history["epoch"].to_numpy()
     loss, *errors = grid[0]
     for name, title, style in (
@@ -148,25 +157,49 @@ def plot_training(
     ):
         if name in history and np.isfinite(history[name]).any():
             colour = colour_of("") if name == "loss" else colour_of("constant-velocity")
-            loss.plot(epochs, history[name], style, color=colour, linewidth=1.5, label=title)
+            known = np.isfinite(history[name].to_numpy())
+            loss.plot(
+                epochs[known],
+                history[name].to_numpy()[known],
+                style,
+                color=colour,
+                linewidth=1.5,
+                label=title,
+                # A line through so few would not be seen.
+                marker="o" if known.sum() < FEW else None,
+            )
     lowest = min((float(np.nanmin(line.get_ydata())) for line in loss.lines), default=np.inf)
-    if lowest > 0:
+    top = _usual_top(history["loss"].to_numpy()) if "loss" in history else np.inf
+    if np.isfinite(top):
+        loss.set_ylim(lowest - 0.05 * (top - lowest), top)
+    elif lowest > 0:
         log_scale(loss)
     else:
         loss.set_yscale("symlog", linthresh=1.0)
         loss.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     loss.set_ylabel("loss (nats per coordinate)")
     loss.legend(frameon=False, fontsize=8)
-    for ax, name, title in zip(errors, ("mse", "mae"), ("MSE (4.2)", "MAE (4.3)"), strict=True):
-        if name in history:
-            ax.plot(epochs, history[name], color=colour_of(""), linewidth=1.5, label="training")
-            if (history[name] > 0).any():
-                log_scale(ax)
-        ax.set_ylabel(title)
+    for ax, name in zip(errors, there, strict=True):
+        ax.plot(epochs, history[name], color=colour_of(""), linewidth=1.5, label="training")
+        if (history[name] > 0).any():
+            log_scale(ax)
+        ax.set_ylabel(told[name])
     for ax in grid[0]:
         ax.set_xlabel("epoch")
         whole_numbers(ax)
     return figure, grid[0]
+
+
+def _usual_top(loss: npt.NDArray[np.float64]) -> float:
+    """Return where an axis has to end so that spikes do not hide the course of a loss.
+
+    Infinite if there are no spikes: no loss is far above the first and nine tenths of the others.
+    """
+    known = loss[np.isfinite(loss)]
+    if not known.size:
+        return np.inf
+    low, usual = float(known.min()), max(float(known[0]), float(np.quantile(known, 0.9)))
+    return usual + 0.1 * (usual - low) if known.max() - low > SPIKE * (usual - low) else np.inf
 
 
 def _finite(values: xr.DataArray) -> npt.NDArray[np.float64]:

@@ -131,6 +131,8 @@ def label_axes(ax: Axes, coordinates: list[str], unit: str) -> None:
     ax.set_xlabel(first, parse_math=False)
     ax.set_ylabel(second, parse_math=False)
     ax.set_aspect("equal", adjustable="datalim")
+    # Few, so that the labels of panels beside each other do not touch.
+    ax.locator_params(nbins=5)
 
 
 def legend_below(ax: Axes) -> None:

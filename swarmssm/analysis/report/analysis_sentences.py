@@ -10,6 +10,8 @@ __all__ = ["in_a_frame", "modulation", "over_time", "pairs", "rotated", "single_
 
 #: A p-value up to this counts, as in the figure.
 LEVEL = 0.05
+#: A force that is no larger than this part of the largest is none.
+NEGLIGIBLE = 1e-3
 
 
 def over_time(forces: xr.Dataset) -> str:
@@ -18,10 +20,11 @@ def over_time(forces: xr.Dataset) -> str:
     unit = format_unit(str(one.attrs.get("units", "")))
     low, middle, high = one.transpose("quantile", "time", "term").to_numpy()
     parts, widths = [], []
+    largest = float(np.nanmax(middle, initial=0.0))
     for index, term in enumerate(one["term"].to_numpy()):
         own = middle[:, index]
         known = np.isfinite(own)
-        if not known.any():
+        if not known.any() or own[known].max() < NEGLIGIBLE * largest:
             continue
         first, last = np.quantile(own[known], [0.1, 0.9])
         parts.append(f"{term} {number(float(first), 2)} to {number(float(last), 2)}")
@@ -57,7 +60,7 @@ def in_a_frame(forces: xr.Dataset, frame: int) -> str:
     for index, term in enumerate(one["term"].to_numpy()):
         own = half[:, index][np.isfinite(half[:, index])]
         if term != "other" and own.size:
-            parts.append(f"{term} {own.mean():.0f}°")
+            parts.append(f"{term} {own.mean():.0f}°" if own.mean() >= 1 else f"{term} below 1°")
     if not parts:
         return text
     return (

@@ -191,10 +191,12 @@ def full_section(
 def _player(fit: Fit, tracks: xr.Dataset, seed: int) -> Markup:
     """Return the recording beside a free run, of as many frames as a page can hold."""
     seen, run = with_free_run(fit, tracks, seed=seed)
-    frames = slice(0, PLAYED)
+    # The frames before the run are there for the headings: the recording starts with the run.
     return player_fragment(
-        seen.isel(time=slice(0, seen.sizes["time"] - run.sizes["time"] + PLAYED)),
-        run.isel(time=frames),
+        seen,
+        run,
+        start=float(run.attrs["free_run_start"]),
+        steps=PLAYED - 1,
         titles=("Observed", "Free run of the model"),
         label="The recording beside a free run of the model",
         assets=False,

@@ -7,6 +7,7 @@ import xarray as xr
 
 from swarmssm.analysis.checks.pit import pit_sentence
 from swarmssm.analysis.checks.verdicts import sentence as checks_sentence
+from swarmssm.analysis.joining import joined
 from swarmssm.analysis.plots.checks import (
     plot_check_overview,
     plot_order_parameters,
@@ -16,10 +17,11 @@ from swarmssm.analysis.plots.checks import (
 from swarmssm.analysis.plots.scores import plot_forecast_coverage, plot_scores
 from swarmssm.analysis.report.blocks import Block, Chapter, Notes, Picture, Rows, Table
 from swarmssm.analysis.report.embed import as_svg
+from swarmssm.analysis.report.held_out import shown_models
 from swarmssm.analysis.report.panels import as_panels
 from swarmssm.analysis.scores.sentence import sentence as scores_sentence
 from swarmssm.analysis.scores.tables import score_table
-from swarmssm.analysis.table import NOTHING
+from swarmssm.analysis.table import NOTHING, format_unit
 from swarmssm.analysis.table import format_number as number
 
 __all__ = ["check_chapter", "comparison_chapter"]
@@ -28,20 +30,24 @@ __all__ = ["check_chapter", "comparison_chapter"]
 VERDICTS = ("unlike", "doubtful", "alike", "unknown")
 #: Statistics that are drawn one by one at most, those that tell most first.
 DRAWN = 9
+#: Of the intervals whose coverage is told.
+LEVEL = 0.9
+#: Order parameters in words.
+ORDER = {"amd": "AMD", "avd": "AVD"}
 OVERVIEW = (
     "Each row is a statistic: the dot is the recording, the bar holds 90 % of the simulated swarms."
 )
 OVER_TIME = (
-    "Order parameters over the first run: the recording within the band of 90 % of the swarms "
-    "simulated from the same start, as it should be nine frames in ten."
+    "The first run, and the band of 90 % of the swarms simulated from the same start. Of a right "
+    "model the recording is within it in nine frames of ten; here it is in {found}."
 )
 STATISTICS = (
     "The statistics that tell most, the recording beside the swarms simulated from the model; the "
     "band holds 90 % of them at each point."
 )
 COVERAGE = (
-    "How often what came was within the forecasts' central intervals. Below the dotted line a "
-    "model is surer than it may be, above it less sure than it could be."
+    "How often what came was within the forecasts' central intervals of {level}. Below the "
+    "horizontal line a model is surer than it may be, above it less sure than it could be."
 )
 
 
@@ -86,8 +92,9 @@ def _checked(anchor: str, checked: xr.Dataset) -> list[Block]:
     ]
     if bool(checked["series_observed"].notnull().any()):
         name = "Order parameters over time"
-        svg = as_svg(plot_order_parameters(checked)[0], f"{anchor}-order", f"{name}. {OVER_TIME}")
-        blocks.append(Picture(name, "", OVER_TIME, svg))
+        text = OVER_TIME.format(found=_within_band(checked))
+        svg = as_svg(plot_order_parameters(checked)[0], f"{anchor}-order", f"{name}. {text}")
+        blocks.append(Picture(name, "", text, svg))
     telling = [
         str(name)
         for name in checked["statistic"].to_numpy()[_by_place(checked)]
@@ -100,6 +107,20 @@ def _checked(anchor: str, checked: xr.Dataset) -> list[Block]:
         blocks.append(Picture(name, "", STATISTICS, svg))
     blocks.append(Notes([line for line in str(checked.attrs["notes"]).splitlines() if line]))
     return blocks
+
+
+def _within_band(checked: xr.Dataset) -> str:
+    """Return in which share of the frames of the first run each order parameter is in the band."""
+    own = checked["series_observed"].isel(run=0)
+    low, high = (checked["series_replicated"].isel(run=0, quantile=end) for end in (0, -1))
+    inside = ((own >= low) & (own <= high)).where(own.notnull() & low.notnull()).mean("step")
+    told = []
+    for name in inside["series"].to_numpy():
+        share = float(inside.sel(series=name))
+        if not np.isnan(share):
+            word = ORDER.get(str(name), str(name))
+            told.append(f"{100 * share:.0f} % by {word}")
+    return joined(told)
 
 
 def _by_place(checked: xr.Dataset) -> "np.ndarray[tuple[int], np.dtype[np.intp]]":
@@ -158,8 +179,9 @@ def comparison_chapter(anchor: str, scores: xr.Dataset | None) -> Chapter:
             Table(f"{words}, at so many steps ahead", _score_rows(scores, score), "plain")
         )
     name = "Coverage of the forecasts' intervals"
-    svg = as_svg(plot_forecast_coverage(scores)[0], f"{anchor}-coverage", f"{name}. {COVERAGE}")
-    blocks.append(Picture(name, "", COVERAGE, svg))
+    text = COVERAGE.format(level=f"{100 * LEVEL:.0f} %")
+    svg = as_svg(plot_forecast_coverage(scores, level=LEVEL)[0], f"{anchor}-coverage", text)
+    blocks.append(Picture(name, "", text, svg))
     blocks.append(Notes(_lines(scores.attrs.get("notes", ""))))
     return Chapter("comparison", "Comparison", blocks)
 
@@ -168,18 +190,19 @@ def _score_rows(scores: xr.Dataset, score: str) -> Rows:
     """Return a row for each model."""
     table = score_table(scores, score)
     return [
-        {"model": str(name)}
+        {"model": title}
         | {
             str(int(step)): number(float(table.sel({"model": name, "horizon": step})))
             for step in table["horizon"].to_numpy()
         }
-        for name in table["model"].to_numpy()
+        for name, title in shown_models(scores).items()
     ]
 
 
 def _unit(scores: xr.Dataset) -> str:
     """Return the unit of length, or words for that of the tracks."""
-    return str(scores["crps"].attrs.get("units", "")) or "the tracks' unit"
+    unit = format_unit(str(scores["crps"].attrs.get("units", "")))
+    return unit or "in the tracks' unit of length"
 
 
 def _lines(notes: str | Sequence[str]) -> list[str]:

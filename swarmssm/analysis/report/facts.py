@@ -144,12 +144,13 @@ def model_facts(fit: Fit) -> Facts:
         ("guide", _described(settings.guide)),
         ("learned numbers", str(fit.num_parameters)),
     ]
-    left = {"model", "guide"}
+    asked, rest = [], []
     for name, value in settings.model_dump(mode="json").items():
-        if name in left or value is None or value == {}:
+        if name in ("model", "guide") or value is None or value == {}:
             continue
-        facts.append((name.replace("_", " "), setting_words(value)))
-    return facts
+        told = (name.replace("_", " "), setting_words(value))
+        (asked if isinstance(value, dict) else rest).append(told)
+    return [*facts, *asked, ("further settings", "; ".join(" ".join(one) for one in rest))]
 
 
 def parameter_rows(fit: Fit) -> list[dict[str, str]]:
@@ -159,6 +160,7 @@ def parameter_rows(fit: Fit) -> list[dict[str, str]]:
     """
     table = fit.parameter_table()
     columns = {"mean": "mean", "sd": "sd", "5 %": "low", "95 %": "high"}
+    blank = dict.fromkeys(columns, NOTHING)
     sizes = Counter(str(name).partition("[")[0] for name in table.index)
     priors = _priors(fit)
     rows = []
@@ -166,11 +168,10 @@ def parameter_rows(fit: Fit) -> list[dict[str, str]]:
         own, place, _ = name.partition("[")
         if sizes[own] <= MOST_ROWS:
             values = {t: number(float(table[c].loc[name])) for t, c in columns.items()}
-            rows.append({"parameter": name, "prior": priors.get(own, NOTHING)} | values)
+            rows.append({"parameter": name, **values, "prior": priors.get(own, NOTHING)})
         elif place and not any(row["parameter"].startswith(f"{own}:") for row in rows):
-            blank = dict.fromkeys(columns, NOTHING)
-            row = {"parameter": f"{own}: {sizes[own]} numbers", "prior": priors.get(own, NOTHING)}
-            rows.append(row | blank)
+            label = f"{own}: {sizes[own]} numbers"
+            rows.append({"parameter": label, **blank, "prior": priors.get(own, NOTHING)})
     return rows
 
 

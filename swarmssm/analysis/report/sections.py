@@ -1,10 +1,10 @@
 """One run as a section of a report: data, model, training, forecasts, and what was asked more."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
+import numpy as np
 import xarray as xr
 from markupsafe import Markup
 from matplotlib.figure import Figure
@@ -18,7 +18,7 @@ from swarmssm.analysis.report import sentences
 from swarmssm.analysis.report.analysis_chapters import analysis_chapter
 from swarmssm.analysis.report.blocks import Chapter, Facts, Fragment, Notes, Picture, Table
 from swarmssm.analysis.report.chapters import check_chapter, comparison_chapter
-from swarmssm.analysis.report.embed import as_svg, house_style
+from swarmssm.analysis.report.embed import house_style
 from swarmssm.analysis.report.facts import (
     data_facts,
     model_facts,
@@ -27,12 +27,15 @@ from swarmssm.analysis.report.facts import (
     provenance_facts,
     scoring_facts,
 )
+from swarmssm.analysis.report.panels import as_panels
 from swarmssm.analysis.table import edge_table, horizon_table, scores_table
 from swarmssm.analysis.thesis import FOOTNOTE
 from swarmssm.inference import Fit
 
 __all__ = ["Picture", "Section", "section_of"]
 
+#: Size of figures that stand side by side.
+SIDE = (4.6, 3.7)
 PLAYER = (
     "Left what was seen, right a free run of the model from the first frame shown, with its noise "
     "drawn: what the model takes for possible, not what it expects."
@@ -140,7 +143,7 @@ def _data(anchor: str, fit: Fit, tracks: xr.Dataset, evaluation: Evaluation) -> 
                 "Who was tracked when",
                 "",
                 presence_sentence(tracks),
-                lambda: plot_presence(tracks),
+                lambda: [plot_presence(tracks)[0]],
             ),
         ],
     )
@@ -155,7 +158,12 @@ def _model(anchor: str, fit: Fit) -> Chapter:
         [
             Facts("Model, guide and settings of the fit", model_facts(fit)),
             _picture(
-                anchor, "model-graph", "The model as a graph", "", known, lambda: plot_model(fit)
+                anchor,
+                "model-graph",
+                "The model as a graph",
+                "",
+                known,
+                lambda: [plot_model(fit)[0]],
             ),
             Table(
                 "Prior and posterior of the named parameters, with the ends of the central 90 % "
@@ -178,7 +186,7 @@ def _training(anchor: str, evaluation: Evaluation) -> Chapter:
         "Training",
         "4.9, 4.10",
         sentences.training_sentence(history),
-        lambda: plots.plot_training(history),
+        lambda: _course_of_training(history),
     )
     return Chapter("training", "Training", [picture])
 
@@ -216,62 +224,71 @@ def _picture(
     title: str,
     thesis: str,
     sentence: str,
-    draw: Callable[[], tuple[Figure, Any]],
+    draw: Callable[[], Sequence[Figure]],
 ) -> Picture:
-    """Draw a figure."""
+    """Draw a figure, or several beside each other."""
     sentence = sentence or "There is not enough data to score here."
-    svg = as_svg(draw()[0], f"{anchor}-{name}", f"{title}. {sentence}")
+    svg = as_panels(draw(), f"{anchor}-{name}", f"{title}. {sentence}")
     return Picture(title, thesis, sentence, svg)
 
 
-def _errors_ahead(evaluation: Evaluation) -> tuple[Figure, Any]:
+def _course_of_training(history: xr.Dataset) -> list[Figure]:
+    """Draw the loss, and the errors of one step where they are known."""
+    whole, axes = plots.plot_training(history)
+    if len(axes) == 1:
+        return [whole]
+    figures = [Figure(figsize=SIDE, layout="constrained") for _ in axes]
+    plots.plot_training(history, np.array([figure.add_subplot() for figure in figures]))
+    return figures
+
+
+def _errors_ahead(evaluation: Evaluation) -> list[Figure]:
     """Draw MSE and MAE side by side, as the thesis does."""
-    figure = Figure(figsize=(9.6, 4.0), layout="constrained")
-    axes = figure.subplots(1, 2)
-    for ax, score in zip(axes, ("forecast_mse", "forecast_mae"), strict=True):
-        plots.plot_horizon_errors(evaluation.scores, ax, score=score)
-    return figure, axes
+    figures = [Figure(figsize=SIDE, layout="constrained") for _ in range(2)]
+    for figure, score in zip(figures, ("forecast_mse", "forecast_mae"), strict=True):
+        plots.plot_horizon_errors(evaluation.scores, figure.add_subplot(), score=score)
+    return figures
 
 
 def _pictures(anchor: str, evaluation: Evaluation) -> list[Picture]:
     """Draw all figures of a run."""
     unit = evaluation.settings["unit"]
-    drawn: list[tuple[str, str, str, Callable[[], tuple[Figure, Any]]]] = [
+    drawn: list[tuple[str, str, str, Callable[[], Sequence[Figure]]]] = [
         (
             "True and imitated paths",
             "4.1, 4.2",
             sentences.imitation_sentence(evaluation),
-            lambda: plots.plot_imitation(evaluation.imitation),
+            lambda: [plots.plot_imitation(evaluation.imitation)[0]],
         ),
         (
             "The group at some times",
             "4.3, 4.4",
             sentences.snapshots_sentence(evaluation),
-            lambda: plots.plot_snapshots(evaluation.imitation),
+            lambda: [plots.plot_snapshots(evaluation.imitation)[0]],
         ),
         (
             "Who sees whom, true and predicted",
             "4.5",
             sentences.graphs_sentence(evaluation),
-            lambda: plots.plot_graphs(evaluation.graphs),
+            lambda: [plots.plot_graphs(evaluation.graphs)[0]],
         ),
         (
             "Accuracy of the next graph",
             "4.6, 4.13",
             sentences.edge_sentence(evaluation),
-            lambda: plots.plot_edge_accuracy(evaluation.edges),
+            lambda: [plots.plot_edge_accuracy(evaluation.edges)[0]],
         ),
         (
             "Cohesion of free runs",
             "4.7a, 4.8a",
             sentences.collective_sentence(evaluation, "amd"),
-            lambda: plots.plot_collective(evaluation.collective, score="amd", unit=unit),
+            lambda: [plots.plot_collective(evaluation.collective, score="amd", unit=unit)[0]],
         ),
         (
             "Alignment of free runs",
             "4.7b, 4.8b",
             sentences.collective_sentence(evaluation, "avd"),
-            lambda: plots.plot_collective(evaluation.collective, score="avd", unit=unit),
+            lambda: [plots.plot_collective(evaluation.collective, score="avd", unit=unit)[0]],
         ),
         (
             "Error against the number of steps ahead",
@@ -283,7 +300,7 @@ def _pictures(anchor: str, evaluation: Evaluation) -> list[Picture]:
             "Free runs from random starts",
             "4.14",
             sentences.random_starts_sentence(evaluation),
-            lambda: plots.plot_random_starts(evaluation.random_starts),
+            lambda: [plots.plot_random_starts(evaluation.random_starts)[0]],
         ),
     ]
     return [

@@ -47,9 +47,12 @@ def sentence(scores: xr.Dataset) -> str:
         text += _against_rival(scores, best)
     if FLOOR in models and RIVAL in models:
         closed = float(skill(scores, RIVAL, FLOOR)["crps"].sel(model=best).isel(horizon=0))
+        first = f"{_steps(int(horizons[0]))} ahead it"
         text += (
-            f"{_steps(int(horizons[0]))} ahead it closes {100 * closed:.0f} % of the gap between "
-            "constant velocity and the true rule. "
+            f"{first} closes {100 * closed:.0f} % of the gap between constant velocity and the "
+            "true rule. "
+            if closed >= 0
+            else f"{first} is farther from the true rule than constant velocity. "
         )
     text += _covered(scores, best)
     trained = [str(name) for name in fits if int(scores["trained_on"].sel(model=name)) > 0]

@@ -4,8 +4,8 @@ import pyro
 import torch
 
 from swarmssm.models import InferredEdges, SwarmBatch
-from swarmssm.models.edges import EdgeMemory, EdgeTypes
-from swarmssm.models.edges.types import IntegratedEdgeTypes
+from swarmssm.models.edges import EdgeState, EdgeTypes
+from swarmssm.models.edges.types import PosteriorEdgeTypes
 from swarmssm.models.parts import Part
 
 __all__ = ["EdgeGuide"]
@@ -48,9 +48,8 @@ class EdgeGuide(Part):
     def forward(self, batch: SwarmBatch) -> SwarmBatch:
         """Sample the types; return the windows with these edges."""
         prior = self.edges.prior(batch)
-        site = self.edges.posterior(batch, self.encoder, prior)
-        if self.integrates:
-            site = IntegratedEdgeTypes(site, prior)
+        law = self.edges.posterior(batch, self.encoder, prior)
+        site = PosteriorEdgeTypes(law, prior, integrated=self.integrates)
         return self.edges.put(batch, pyro.sample("edges", site))
 
     def draw(self, batch: SwarmBatch, *, sample: bool = True) -> SwarmBatch:
@@ -59,7 +58,7 @@ class EdgeGuide(Part):
             law = self.posterior(batch)
             return self.edges.put(batch, law.sample() if sample else law.mean)
 
-    def memory(self, batch: SwarmBatch) -> EdgeMemory:
+    def memory(self, batch: SwarmBatch) -> EdgeState:
         """Return what is known of edges at the end of windows that have some."""
         assert batch.edge_types is not None, "the windows have edges"
         with torch.no_grad():

@@ -10,7 +10,7 @@ from typing import Any, ParamSpec, TypeVar
 import torch
 
 from swarmssm.inference.data import Prepared
-from swarmssm.models.edges import EdgeMemory
+from swarmssm.models.edges import EdgeState
 from swarmssm.models.parts import own_parameters
 
 __all__ = ["Beginning", "Kernels", "Predictor", "Trajectory", "owning", "seeded"]
@@ -46,7 +46,7 @@ class Beginning:
     present: torch.Tensor
     unscaled: torch.Tensor
     parameters: tuple[Mapping[str, torch.Tensor], ...] | None = None
-    edges: EdgeMemory | None = None
+    edges: EdgeState | None = None
 
 
 @dataclass(frozen=True)

@@ -63,6 +63,17 @@ class Baseline:
         """
         raise TypeError(f"{type(self).__name__} must define step(window, fps)")
 
+    @classmethod
+    def for_tracks(cls, tracks: xr.Dataset) -> Self:
+        """Return a baseline to be fitted to these tracks, told of them what it is to be told.
+
+        Raises
+        ------
+        InputError
+            If the tracks do not know what it is to be told.
+        """
+        return cls()
+
     @property
     def num_parameters(self) -> int:
         """How many numbers were learned."""

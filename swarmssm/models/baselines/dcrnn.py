@@ -5,8 +5,9 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from swarmssm.models.baselines.neural import Memory, NeuralBaseline, Setting, StepNetwork
+from swarmssm.models.baselines.neural import NeuralBaseline
 from swarmssm.models.baselines.recurrent import LookingNetwork
+from swarmssm.models.baselines.step_network import Memory, Setting, StepNetwork
 
 __all__ = ["DCRNN", "DCRNNDirect", "random_walks"]
 
@@ -30,10 +31,10 @@ class DCRNN(NeuralBaseline):
     frame.
 
     The original has two layers of 64 units, an encoder and a decoder with weights of their own, K
-    of 2 or 3, Adam at 1e-2 with steps down, batches of 64 and scheduled sampling, for roads whose
-    graph stays. Here there is one layer of 64 units whose decoder goes on with the encoder's
-    weights, K = 2, and a graph that is made anew in each frame; the training, with its own steps
-    after the known frames instead of scheduled sampling, is that of :class:`NeuralBaseline`.
+    of 2 or 3, Adam at 1e-2 with steps down, and scheduled sampling, for roads whose graph stays.
+    Here there is one layer of 64 units whose decoder goes on with the encoder's weights, K = 2, and
+    a graph that is made anew in each frame; the training, with its own steps after the known frames
+    instead of scheduled sampling, is that of :class:`NeuralBaseline`.
     """
 
     name: ClassVar[str] = "dcrnn"

@@ -5,11 +5,12 @@ from typing import ClassVar
 from torch import Tensor, nn
 
 from swarmssm.models.baselines.lstm import LstmUnit
-from swarmssm.models.baselines.neural import Memory, NeuralBaseline, Setting, StepNetwork
+from swarmssm.models.baselines.neural import NeuralBaseline
 from swarmssm.models.baselines.recurrent import LookingNetwork
+from swarmssm.models.baselines.step_network import Memory, Setting, StepNetwork
 from swarmssm.models.layers import GatedGraphLayer
 
-__all__ = ["DyGrEncoderDirect", "DyGrEncoder"]
+__all__ = ["DyGrEncoder", "DyGrEncoderDirect"]
 
 
 class DyGrEncoder(NeuralBaseline):
@@ -26,11 +27,11 @@ class DyGrEncoder(NeuralBaseline):
     decoder rebuilds the graph of a sequence; for states its users read the next one out of
     :math:`a_t`, see :class:`DyGrEncoderDirect`.
 
-    The original sums over neighbours, embeds in 32 to 100 dimensions with as many rounds as the
-    graph has layers, and pools the nodes of a frame into one vector before the LSTM; its port for
-    node features keeps one LSTM per node with shared weights, as here. Here neighbours are
-    averaged, so that groups of all sizes stay within the range of the gates, in 2 rounds of 64
-    units; the training is that of :class:`NeuralBaseline`.
+    The original embeds a whole graph, in order to tell kinds of behaviour apart; its port to node
+    features keeps an LSTM per node with shared weights, as here. Both sum over neighbours, with
+    sizes that the user chooses. Here neighbours are averaged, so that groups of all sizes stay
+    within the range of the gates, in 2 rounds of 64 units; the training is that of
+    :class:`NeuralBaseline`.
     """
 
     name: ClassVar[str] = "dygrencoder"

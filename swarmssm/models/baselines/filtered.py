@@ -40,6 +40,8 @@ class FilteredBaseline(Baseline):
     title: ClassVar[str]
     #: So much of a history is given to the filter in :meth:`forecast`; it has long forgotten more.
     order: int = 50
+    #: Of the likelihood, at most so many for each number that is learned.
+    evaluations: ClassVar[int] = 40
 
     def __init__(self) -> None:
         super().__init__()
@@ -117,22 +119,18 @@ class FilteredBaseline(Baseline):
         """
         pieces = _pieces(states)
 
-        def surprise(parameters: Any) -> float:
+        def surprise(parameters: Array) -> float:
             densities = build(parameters).follow(pieces)[1]
             mean = np.nanmean(densities) if np.isfinite(densities).any() else -np.inf
             return float(-mean) if np.isfinite(mean) else 1e12
 
-        def stop(_: Any) -> None:
+        def stop(_: Array) -> None:
             if training.over:
                 raise StopIteration
 
-        found = scipy.optimize.minimize(
-            surprise,
-            np.array(begin),
-            method="Nelder-Mead",
-            callback=stop,
-            options={"xatol": 0.02, "fatol": 1e-4, "maxfev": 40 * len(begin)},
-        )
+        options = {"xatol": 0.02, "fatol": 1e-4, "maxfev": self.evaluations * len(begin)}
+        simplex: Any = scipy.optimize.minimize
+        found = simplex(surprise, begin, method="Nelder-Mead", callback=stop, options=options)
         best: Array = found.x
         return best
 

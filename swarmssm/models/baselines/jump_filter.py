@@ -195,6 +195,8 @@ class JumpModel:
         space = position.shape[-1]
         innovation = position[..., None, :] - ahead.means[..., :space]
         spread = ahead.covariances[..., :space, :space] + self.tracking_variance * np.eye(space)
+        # Who is not measured may have no belief yet.
+        spread = np.where(measured[..., None, None, None], spread, np.eye(space))
         inverse = np.linalg.inv(spread)
         gain = ahead.covariances[..., :, :space] @ inverse
         surprise = (innovation * (inverse @ innovation[..., None])[..., 0]).sum(axis=-1)

@@ -8,7 +8,8 @@ import torch
 from torch import Tensor, nn
 
 from swarmssm.errors import InputError
-from swarmssm.models.baselines.neural import Memory, NeuralBaseline, Setting, StepNetwork
+from swarmssm.models.baselines.neural import NeuralBaseline
+from swarmssm.models.baselines.step_network import Memory, Setting, StepNetwork
 from swarmssm.scaling import Scaler
 
 __all__ = ["KNODE", "Prior", "constant_velocity"]
@@ -35,11 +36,10 @@ class KNODE(NeuralBaseline):
     the typical change of each feature in a frame, per frame. One Runge-Kutta step of fourth order a
     frame, by torchdiffeq; the graph stays as it is during a step. Nothing is remembered.
 
-    The originals couple f and g through a further layer of weights, have one hidden layer of 100 to
-    128 tanh units, Runge-Kutta too, and learn on a loss a few steps ahead; the swarms of the second
-    paper sense neighbours within a radius with delays, which are left out here. Here g adds to f
-    and has two hidden layers of 64 tanh units, and the training is that of
-    :class:`NeuralBaseline`.
+    The first paper joins f and g by weights that are learned too, and takes the sizes of g from
+    case to case; the robots of the second also have delays and obstacles. Here g adds to f and has
+    two hidden layers of 64 tanh units, there are neither delays nor obstacles, and the training,
+    on a few steps ahead as theirs, is that of :class:`NeuralBaseline`.
 
     Parameters
     ----------

@@ -5,8 +5,9 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from swarmssm.models.baselines.neural import Memory, NeuralBaseline, Setting, StepNetwork
+from swarmssm.models.baselines.neural import NeuralBaseline
 from swarmssm.models.baselines.recurrent import LookingNetwork
+from swarmssm.models.baselines.step_network import Memory, Setting, StepNetwork
 
 __all__ = ["LSTM", "LstmUnit"]
 

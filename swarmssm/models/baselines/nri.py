@@ -77,10 +77,8 @@ class NeuralRelationalInference(RelationalBaseline):
         square, count = network.reconstruct(self, windows, drawn)
         divergence = categorical_kl(logits, network.get_buffer("prior"))
         divergence = (divergence * pairs).sum() / seen.any(1).sum().clamp(min=1)
-        change = typical[0].square().sum()
         steps = self.order + self.ahead - 1
-        weight = 2.0 * self.variance / (steps * change)
-        return square / (count.clamp(min=1) * change) + weight * divergence
+        return self._bound(square, count, divergence / steps, typical[0])
 
     def one_step(self, states: Array, fps: float) -> Array:
         """Predict each frame from the :attr:`order` frames before it, and their edges."""

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from swarmssm.models.baselines.neural import Memory, StepNetwork
+from swarmssm.models.baselines.step_network import Memory, StepNetwork
 
 __all__ = ["LookingNetwork"]
 

@@ -20,15 +20,18 @@ __all__ = ["RelationalBaseline", "reconstruction"]
 class RelationalBaseline(NeuralBaseline):
     r"""A baseline that is told of no graph, and gives each ordered pair a type of edge.
 
-    It is trained by the evidence lower bound of the states in a window, with an output variance
-    that is fixed, here divided by a constant so that the first term begins at about 1:
+    It is trained by the evidence lower bound of the states in a window, multiplied by a factor such
+    that the first term begins at about 1:
 
     .. math::
-        \frac{1}{\overline{s^2}} \overline{(x_{t+1} - \hat x_{t+1})^2} + \frac{2 \sigma^2}
-        {\overline{s^2} T D} \sum_{ij} \mathrm{KL}\bigl(q(z_{ij}) \,\|\, p(z)\bigr) / N,
+        \frac{1}{|s|^2} \overline{|x_{t+1} - \hat x_{t+1}|^2} + \frac{2 \sigma^2}{|s|^2 T N}
+        \sum_{ij} \mathrm{KL}\bigl(q(z_{ij}) \,\|\, p(z)\bigr),
 
-    s being what features change by in a frame. From randomly chosen frames the decoder goes on by
-    itself over a number of steps that is drawn anew for each batch, and is told the truth again.
+    s being what features change by in a frame. The output variance is fixed as in the paper, except
+    that it is never below the mean square of recent errors: as long as the decoder is bad, the
+    errors would else decide on the edges before they can tell. From randomly chosen frames the decoder goes on by
+    itself over a number of steps that is drawn anew for each batch. At first it is one step only:
+    while the decoder is bad, errors over many steps say nothing of the edges.
     The graph of :class:`~swarmssm.models.baselines.training.Training` is not looked at.
 
     Attributes
@@ -43,7 +46,8 @@ class RelationalBaseline(NeuralBaseline):
     temperature
         Of the relaxed draws of edges while training.
     stretches
-        Numbers of steps over which the decoder goes on by itself, of which one is drawn.
+        Numbers of steps over which the decoder goes on by itself, of which one is drawn: the first
+        in the first part of the training, then of the first two, and so on.
     decoded
         Steps of each window that are decoded in one batch, all stretches together.
     hidden
@@ -66,6 +70,10 @@ class RelationalBaseline(NeuralBaseline):
     rows: ClassVar[int] = 640
     pairs: ClassVar[int] = 6400
 
+    def __init__(self) -> None:
+        super().__init__()
+        self._error: float | None = None
+
     def edge_probabilities(self, states: Array, fps: float) -> Array:
         """Return how likely each type of edge is, looking back and ahead.
 
@@ -85,6 +93,7 @@ class RelationalBaseline(NeuralBaseline):
 
     def learn(self, states: Array, fps: float, training: Training) -> None:
         """Train the network; the graph is for it to find out."""
+        self._error = None
         super().learn(states, fps, dataclasses.replace(training, graph=None))
 
     def _trials(self, states: Array, fps: float, after: int) -> Trials:
@@ -105,6 +114,24 @@ class RelationalBaseline(NeuralBaseline):
         trials.origins = torch.cat([late, ends.repeat_interleave(copies, dim=0)])
         return trials
 
+    def _bound(self, square: Tensor, count: Tensor, divergence: Tensor, change: Tensor) -> Tensor:
+        """Return minus the evidence lower bound, scaled.
+
+        Parameters
+        ----------
+        square, count
+            Sum of squared errors, and of how many states.
+        divergence
+            Of the posterior from the prior, for each individual and step.
+        change
+            What each feature changes by in a frame, ``(state,)``.
+        """
+        mean = square / count.clamp(min=1)
+        now = float(mean.detach()) / len(change)
+        self._error = now if self._error is None else 0.95 * self._error + 0.05 * now
+        weight = 2.0 * max(self.variance, self._error)
+        return (mean + weight * divergence) / change.square().sum()
+
     def _scaled_windows(self, states: Array, fps: float) -> tuple[Tensor, Tensor]:
         """Return scaled states and who is seen, of whole trials."""
         if states.ndim != 4:
@@ -117,7 +144,8 @@ class RelationalBaseline(NeuralBaseline):
 
     def _draw_stretch(self, frames: int) -> tuple[int, Tensor]:
         """Return over how many steps the decoder goes on by itself, and from which frames."""
-        possible = [steps for steps in self.stretches if steps < frames] or [1]
+        allowed = self.stretches[: 1 + int(self.done * len(self.stretches))]
+        possible = [steps for steps in allowed if steps < frames] or [1]
         steps = possible[int(torch.randint(len(possible), ()))]
         count = max(1, self.decoded // steps)
         return steps, torch.randint(frames - steps, (count,))

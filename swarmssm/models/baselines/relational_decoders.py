@@ -49,18 +49,16 @@ class TypedMessages(nn.Module):
         -------
         Shape ``(batch, individual, hidden)``.
         """
-        size = nodes.shape[-2]
-        rows = math.prod(nodes.shape[:-1])
         first = self.activation(
             self.receiver(nodes).unsqueeze(-2) + self.sender(nodes).unsqueeze(-3)
-        ).reshape(rows * size, self.sending, self.hidden)
-        total = nodes.new_zeros(rows, 1, self.hidden)
+        )
+        rows = first.reshape(-1, self.sending, self.hidden)
+        total = nodes.new_zeros(*nodes.shape[:-1], self.hidden)
         for k in range(self.sending):
-            message = self.activation(torch.addmm(self.bias[k], first[:, k], self.weight[k]))
-            weight = edges[..., k + 1].reshape(rows, 1, size)
-            # One product weighs the messages and adds them up, and holds neither in between.
-            total = torch.baddbmm(total, weight, message.view(rows, size, self.hidden))
-        return total.view(*nodes.shape[:-1], self.hidden)
+            message = self.activation(torch.addmm(self.bias[k], rows[:, k], self.weight[k]))
+            weight = edges[..., k + 1].unsqueeze(-1)
+            total = total + (message.view(*weight.shape[:-1], self.hidden) * weight).sum(-2)
+        return total
 
 
 class PerceptronDecoder(nn.Module):

@@ -37,7 +37,7 @@ COORDINATES = "xyz"
 class SparseAcceleration(AccelerationBaseline):
     """The acceleration of an individual is a sparse combination of candidate terms.
 
-    A subclass names the variables and writes :meth:`variables` and :meth:`candidates`.
+    A subclass writes :meth:`variables`, :meth:`variable_names` and :meth:`candidates`.
 
     Attributes
     ----------
@@ -45,6 +45,8 @@ class SparseAcceleration(AccelerationBaseline):
         The candidates that stayed, as products of variables.
     coefficients
         Shape ``(space, term)``, in the units of the tracks and seconds.
+    degree
+        Highest degree of the polynomials in the library.
     centre
         Mean place in the training part, from which positions are counted.
     low, high
@@ -54,6 +56,7 @@ class SparseAcceleration(AccelerationBaseline):
 
     name: ClassVar[str]
     title: ClassVar[str]
+    degree: ClassVar[int] = 3
 
     def __init__(self) -> None:
         super().__init__()
@@ -99,11 +102,8 @@ class SparseAcceleration(AccelerationBaseline):
 
     def learn(self, states: Array, fps: float, training: Training) -> None:
         """Find coefficients for each threshold, and choose among them by rollouts."""
-        self.graph = training.graph
-        rows = states[known(states)]
+        self.begin(states, training)
         space = states.shape[-1] // 2
-        self.low, self.high = rows.min(axis=0), rows.max(axis=0)
-        self.centre = rows.mean(axis=0)[:space]
         early, late = learning_and_judging_parts(states, training)
         triangle = self._triangle(early, fps)
         chosen = best_of(
@@ -118,6 +118,13 @@ class SparseAcceleration(AccelerationBaseline):
         if early is not states:
             triangle = self._triangle(states, fps)
         self._with(sparse_coefficients(triangle, space, chosen))
+
+    def begin(self, states: Array, training: Training) -> None:
+        """Take over the graph, and see within what bounds the states are."""
+        self.graph = training.graph
+        rows = states[known(states)]
+        self.low, self.high = rows.min(axis=0), rows.max(axis=0)
+        self.centre = rows.mean(axis=0)[: states.shape[-1] // 2]
 
     def acceleration(self, states: Array) -> Array:
         """Return the combination of terms."""
@@ -218,7 +225,7 @@ class SindyBoids(SparseAcceleration):
         )
         return [
             *((index,) for index in (*social, *heading)),
-            *polynomial_terms((*place, *velocity), 3),
+            *polynomial_terms((*place, *velocity), self.degree),
             *((index,) * 5 for index in place),
             *((index, 6 * space) for index in velocity),
         ]
@@ -249,7 +256,7 @@ class SindyGeneric(SparseAcceleration):
 
     def candidates(self, space: int) -> list[Term]:
         """Return all products of up to three variables."""
-        return polynomial_terms(range(4 * space), 3)
+        return polynomial_terms(range(4 * space), self.degree)
 
 
 def _names(symbols: list[str], space: int) -> list[str]:

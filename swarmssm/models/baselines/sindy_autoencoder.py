@@ -24,6 +24,8 @@ from swarmssm.tracks import Array
 __all__ = ["SindyAutoencoder", "SparseAutoencoder", "TangentNetwork"]
 
 ROWS_AT_ONCE = 2**14
+#: Scaled inputs are kept within so many standard deviations.
+FARTHEST = 20.0
 #: Shares of the training after which small coefficients are dropped; then nothing is dropped any
 #: more, and the penalty on coefficients is lifted.
 THRESHOLDED_AT = tuple(0.1 * part for part in range(1, 8))
@@ -70,6 +72,8 @@ class TangentNetwork(nn.Module):
     def forward(self, point: Tensor, velocity: Tensor) -> tuple[Tensor, Tensor]:
         """Return where the point goes and, by the chain rule, how fast: ``(..., feature)`` each."""
         for number, layer in enumerate(self.layers):
+            if not isinstance(layer, nn.Linear):
+                raise TypeError("every layer is linear")
             point = layer(point)
             velocity = nn.functional.linear(velocity, layer.weight)
             if number + 1 < len(self.layers):
@@ -213,7 +217,7 @@ class SindyAutoencoder(Baseline):
             with torch.no_grad():
                 found[part] = self.network(*rows)[:, -size:].double().numpy()
         # Only the change of velocity is used: the position moves by the new velocity.
-        change = (found * self.velocity_spread[-size:])[:, size // 2 :]
+        change = (found * self._pace)[:, size // 2 :]
         change = change * np.asarray(self._scaler().scale)[size // 2 :]
         position, velocity = np.split(last[present], 2, axis=-1)
         velocity = velocity + change
@@ -221,7 +225,13 @@ class SindyAutoencoder(Baseline):
         following[present] = np.concatenate([position + velocity / fps, velocity], axis=-1)
         return following
 
+    @property
+    def _pace(self) -> float:
+        """Typical change of a scaled observed number in one frame."""
+        return float(np.sqrt((self.velocity_spread**2).mean()))
+
     def _scaler(self) -> Scaler:
+        """Return the scaler."""
         if self.scaler is None:
             raise InputError(f"{self.name}: fit it first; it has learned nothing yet.")
         return self.scaler
@@ -258,8 +268,9 @@ class SindyAutoencoder(Baseline):
         """Minimise the loss, dropping coefficients on the way."""
         random = torch.Generator().manual_seed(training.seed)
         optimiser = torch.optim.Adam(network.parameters(), lr=self.learning_rate)
-        thresholds, judgements = list(THRESHOLDED_AT), list(
-            np.linspace(REFINED_FROM, 1.0, JUDGED + 1)[1:]
+        thresholds, judgements = (
+            list(THRESHOLDED_AT),
+            list(np.linspace(REFINED_FROM, 1.0, JUDGED + 1)[1:]),
         )
         best, kept = math.inf, None
         for count in itertools.count(1):
@@ -281,9 +292,7 @@ class SindyAutoencoder(Baseline):
                 judgements.pop(0)
                 due = True
             if due and training.validation is not None:
-                score = rollout_error(
-                    self, training.validation[:JUDGED_TRIALS], fps, self.order
-                )
+                score = rollout_error(self, training.validation[:JUDGED_TRIALS], fps, self.order)
                 if score < best:
                     best, kept = score, copy.deepcopy(network.state_dict())
             if done >= 1.0:
@@ -294,21 +303,18 @@ class SindyAutoencoder(Baseline):
     def _loss(self, network: SparseAutoencoder, data: list[Tensor], sparse: bool) -> Tensor:
         """Return the loss of Champion et al. on a batch."""
         observed, controls, velocity = data
-        spread = torch.from_numpy(self.velocity_spread).float()
-        latent, encoded = network.encoder(observed, velocity * spread)
+        # Time is counted so that what is observed changes by about 1: so do latent coordinates.
+        relative = torch.from_numpy(self.velocity_spread / self._pace).float()
+        latent, encoded = network.encoder(observed, velocity * relative)
         law = network.velocity(latent, controls)
-        # The law gives latent change a frame in the unit in which velocities have unit variance.
         again, decoded = network.decoder(latent, law)
         loss = (observed - again).square().mean()
-        loss = loss + self.decoded_weight * (velocity - decoded).square().mean()
-        loss = loss + self.encoded_weight * (encoded / spread.mean() - law).square().mean()
+        loss = loss + self.decoded_weight * (velocity - decoded / relative).square().mean()
+        loss = loss + self.encoded_weight * (encoded - law).square().mean()
         if sparse:
             loss = loss + self.sparsity_weight * (network.active * network.coefficients).abs().sum()
-        return loss
-
-
-#: Scaled inputs are kept within so many standard deviations.
-FARTHEST = 20.0
+        whole: Tensor = loss
+        return whole
 
 
 def _spread(rows: Array) -> Array:

@@ -8,22 +8,12 @@ import numpy as np
 import scipy.optimize
 
 from swarmssm.errors import InputError
-from swarmssm.graphs import GraphRule
 from swarmssm.metrics.masked import known
-from swarmssm.models.baselines.library import (
-    Term,
-    monomials,
-    polynomial_terms,
-    sparse_coefficients,
-)
+from swarmssm.models.baselines.library import monomials, sparse_coefficients
 from swarmssm.models.baselines.regression import compress
 from swarmssm.models.baselines.selection import learning_and_judging_parts
-from swarmssm.models.baselines.sindy import ROWS_AT_ONCE
-from swarmssm.models.baselines.social_terms import (
-    AccelerationBaseline,
-    accelerations,
-    social_terms,
-)
+from swarmssm.models.baselines.sindy import ROWS_AT_ONCE, SindyBoids
+from swarmssm.models.baselines.social_terms import accelerations
 from swarmssm.models.baselines.training import Training
 from swarmssm.tracks import Array
 
@@ -31,7 +21,7 @@ __all__ = ["Ratio", "SindyPI"]
 
 THRESHOLDS = (0.1, 0.03, 0.01, 0.003, 0.001)
 #: A model with fewer terms is preferred if its squared error is greater by no more than this share.
-TOLERANCE = 0.005
+TOLERANCE = 0.01
 #: At most so many steps judge the candidates.
 MOST_JUDGED = 20_000
 #: What multiplies the acceleration: 1, and the squares of speed, of the distance from the centre
@@ -92,28 +82,28 @@ class Steps:
         return error if np.isfinite(error) else float("inf")
 
 
-class SindyPI(AccelerationBaseline):
+class SindyPI(SindyBoids):
     r"""Implicit SINDy: each coordinate of the acceleration is a ratio of sums of terms.
 
     .. math:: \Bigl(d_0 + d_1 |v_i|^2 + d_2 |p_i|^2 + d_3 |C_i|^2\Bigr)\, a_i = \sum_k \xi_k\,
         \theta_k(C_i, S_i, A_i, p_i, v_i)
 
-    with :math:`\theta` cohesion, separation and alignment, (3.16) to (3.18) of the thesis with
-    exponent 1, and all products of up to three of one's own place and velocity. Every term of this
-    equation in turn is taken for the left-hand side and regressed on all others by sequentially
-    thresholded least squares - that is the "parallel" of Kaheman et al., which finds implicit laws
-    although no term is known to be in them - and each that has the acceleration once more without
-    it on the right. That equation is kept which, solved for the acceleration, predicts it best in
-    the validation part, or is sparser than the best and as good within half a percent; the authors
-    too solve these regressions by thresholding and choose by the error on data that were not
-    fitted. Beyond the original, the best law with each set of denominator terms is fitted anew to
-    the accelerations before the last choice: where steps are noisy, an acceleration on the
+    with the terms :math:`\theta` of :class:`~swarmssm.models.baselines.sindy.SindyBoids`. Every
+    term of this equation in turn is taken for the left-hand side and regressed on all others by
+    sequentially thresholded least squares - that is the "parallel" of Kaheman et al., which finds
+    implicit laws although no term is known to be in them - and each that has the acceleration once
+    more without it on the right. That equation is kept which, solved for the acceleration, predicts
+    it best in the validation part, or is sparser than the best and as good within a percent; the
+    authors too solve these regressions by thresholding and choose by the error on data that were
+    not fitted. Beyond the original, the best law with each set of denominator terms is fitted anew
+    to the accelerations before the last choice: where steps are noisy, an acceleration on the
     right-hand side carries its noise into the regressors, which biases the coefficients.
 
     The steps of all individuals in all trials enter one regression, and no difference is taken from
     one trial to another; pysindy's own SINDy-PI library takes one trajectory only (its issue 428).
     Accelerations are kept within those of the training part, which a vanishing denominator would
-    leave.
+    leave. Where the training time does not suffice for all left-hand sides, those are tried first
+    that have the acceleration in them.
     """
 
     name: ClassVar[str] = "sindy-pi"
@@ -122,9 +112,7 @@ class SindyPI(AccelerationBaseline):
 
     def __init__(self) -> None:
         super().__init__()
-        self.graph: GraphRule | None = None
         self.ratios: list[Ratio] = []
-        self.centre = self.low = self.high = np.empty(0)
         self.least = self.greatest = np.empty(0)
 
     @property
@@ -134,10 +122,9 @@ class SindyPI(AccelerationBaseline):
 
     def equations(self, digits: int = 4) -> list[str]:
         """Return what was found in words that people read: one equation a coordinate."""
-        space = len(self._found())
-        coordinates = "xyz"[:space]
-        names = [symbol + c for symbol in ("C", "S", "A", "", "v") for c in coordinates]
-        labels = [" ".join(names[index] for index in term) for term in _terms(space)]
+        space = len(self._laws())
+        coordinates, names = "xyz"[:space], self.variable_names(space)
+        labels = [" ".join(names[index] for index in term) for term in self.candidates(space)]
         return [
             f"dv{coordinate}/dt = ({_sum(ratio.numerator, labels, digits)}) / "
             f"({_sum(ratio.denominator, DENOMINATORS, digits)})"
@@ -146,21 +133,20 @@ class SindyPI(AccelerationBaseline):
 
     def learn(self, states: Array, fps: float, training: Training) -> None:
         """Try every left-hand side and threshold for each coordinate."""
-        self.graph = training.graph
-        rows = states[known(states)]
-        self.low, self.high = rows.min(axis=0), rows.max(axis=0)
-        self.centre = rows.mean(axis=0)[: states.shape[-1] // 2]
+        self.begin(states, training)
         early, late = learning_and_judging_parts(states, training)
         variables, targets = self._rows(early, fps)
         self.least, self.greatest = targets.min(axis=0), targets.max(axis=0)
         space = targets.shape[-1]
         triangle = compress(
-            _columns(variables[start : start + ROWS_AT_ONCE], targets[start : start + ROWS_AT_ONCE])
+            self._columns(
+                variables[start : start + ROWS_AT_ONCE], targets[start : start + ROWS_AT_ONCE]
+            )
             for start in range(0, len(variables), ROWS_AT_ONCE)
         )
         num_terms = triangle.shape[1] - space * len(DENOMINATORS)
-        learned = _some(variables, targets)
-        judged = _some(*self._rows(late, fps))
+        learned = self._some(variables, targets)
+        judged = self._some(*self._rows(late, fps))
         self.ratios = []
         for axis in range(space):
             implicit = num_terms + axis + space * np.arange(len(DENOMINATORS))
@@ -169,6 +155,8 @@ class SindyPI(AccelerationBaseline):
             parts = [Steps(*part[:2], part[2][:, axis], *bounds) for part in (learned, judged)]
             best: dict[tuple[bool, ...], tuple[float, Ratio]] = {}
             for ratio in _ratios(picked, num_terms):
+                if best and training.progress >= (axis + 1) / space:
+                    break
                 error, kind = parts[1].error(ratio), tuple((ratio.denominator != 0.0).tolist())
                 if kind not in best or error < best[kind][0]:
                     best[kind] = error, ratio
@@ -177,69 +165,57 @@ class SindyPI(AccelerationBaseline):
 
     def acceleration(self, states: Array) -> Array:
         """Return the ratios."""
-        ratios = self._found()
-        flat = self._variables(states).reshape(-1, 5 * len(ratios))
+        ratios = self._laws()
+        flat = self.variables(states)
+        flat = flat.reshape(-1, flat.shape[-1])
         found = np.empty((len(flat), len(ratios)))
         for start in range(0, len(flat), ROWS_AT_ONCE):
             part = slice(start, start + ROWS_AT_ONCE)
-            terms, squares = _terms_and_squares(flat[part])
+            terms, squares = self._terms_and_squares(flat[part], len(ratios))
             values = np.stack([ratio(terms, squares) for ratio in ratios], axis=-1)
             found[part] = np.clip(values, self.least, self.greatest)
         return found.reshape(*states.shape[:-1], len(ratios))
 
-    def _found(self) -> list[Ratio]:
+    def _laws(self) -> list[Ratio]:
         """Return the ratios."""
         if not self.ratios:
             raise InputError(f"{self.name}: fit it first; it has learned nothing yet.")
         return self.ratios
 
-    def _variables(self, states: Array) -> Array:
-        """Return C, S, A, place and velocity, ``(..., individual, 5 * space)``."""
-        place, velocity = np.split(np.clip(states, self.low, self.high), 2, axis=-1)
-        terms = social_terms(states, self.graph)
-        return np.concatenate([terms, place - self.centre, velocity], axis=-1)
-
     def _rows(self, states: Array, fps: float) -> tuple[Array, Array]:
         """Return variables and accelerations of all steps of everybody, ``(row, ...)``."""
         targets = accelerations(states, fps)
         usable = known(targets)
-        return self._variables(states[:, :-1])[usable], targets[usable]
+        return self.variables(states[:, :-1])[usable], targets[usable]
 
+    def _terms_and_squares(self, variables: Array, space: int) -> tuple[Array, Array]:
+        """Return terms of the numerator, and what the denominator is made of, ``(row, ...)``."""
+        # Cohesion comes first, and place and velocity after alignment.
+        parts = (variables[:, first * space : (first + 1) * space] for first in (4, 3, 0))
+        squares = [np.ones(len(variables)), *((part**2).sum(-1) for part in parts)]
+        return monomials(variables, self.candidates(space)), np.stack(squares, axis=-1)
 
-def _terms(space: int) -> list[Term]:
-    """Return the terms of the numerator."""
-    social: list[Term] = [(index,) for index in range(3 * space)]
-    return social + polynomial_terms(range(3 * space, 5 * space), 3)
+    def _columns(self, variables: Array, targets: Array) -> Array:
+        """Return the terms, and each square times each coordinate of the acceleration."""
+        terms, squares = self._terms_and_squares(variables, targets.shape[-1])
+        implicit = (squares[:, :, None] * targets[:, None, :]).reshape(len(variables), -1)
+        return np.concatenate([terms, implicit], axis=-1)
 
-
-def _terms_and_squares(variables: Array) -> tuple[Array, Array]:
-    """Return terms of the numerator, and what the denominator is made of, ``(row, ...)``."""
-    space = variables.shape[-1] // 5
-    cohesion, _, _, place, velocity = np.split(variables, 5, axis=-1)
-    squares = [
-        np.ones(len(variables)),
-        *((part**2).sum(-1) for part in (velocity, place, cohesion)),
-    ]
-    return monomials(variables, _terms(space)), np.stack(squares, axis=-1)
-
-
-def _columns(variables: Array, targets: Array) -> Array:
-    """Return the terms, and each square times each coordinate of the acceleration."""
-    terms, squares = _terms_and_squares(variables)
-    implicit = (squares[:, :, None] * targets[:, None, :]).reshape(len(variables), -1)
-    return np.concatenate([terms, implicit], axis=-1)
-
-
-def _some(variables: Array, targets: Array) -> tuple[Array, Array, Array]:
-    """Return terms, squares and accelerations of not too many rows."""
-    picked = np.linspace(0, len(targets) - 1, min(len(targets), MOST_JUDGED)).round().astype(int)
-    return *_terms_and_squares(variables[picked]), targets[picked]
+    def _some(self, variables: Array, targets: Array) -> tuple[Array, Array, Array]:
+        """Return terms, squares and accelerations of not too many rows."""
+        count = min(len(targets), MOST_JUDGED)
+        picked = np.linspace(0, len(targets) - 1, count).round().astype(int)
+        parts = self._terms_and_squares(variables[picked], targets.shape[-1])
+        return *parts, targets[picked]
 
 
 def _ratios(triangle: Array, num_terms: int) -> Iterator[Ratio]:
-    """Yield the law that each left-hand side and threshold gives, where it has an acceleration."""
+    """Yield the law that each left-hand side and threshold gives, where it has an acceleration.
+
+    Those with the acceleration on the left come first: there may not be time for all.
+    """
     columns = triangle.shape[1]
-    for left in range(columns):
+    for left in [*range(num_terms, columns), *range(num_terms)]:
         every = [column for column in range(columns) if column != left]
         explicit = [every[:num_terms]] if left >= num_terms else []
         for right in [every, *explicit]:

@@ -101,6 +101,11 @@ class SindyTold(SparseAcceleration):
         super().__init__()
         self.forms = forms
 
+    @classmethod
+    def for_tracks(cls, tracks: xr.Dataset) -> Self:
+        """Return the method, told the forms that simulated tracks follow."""
+        return cls(BoidsForms.of(tracks))
+
     def fit(
         self,
         tracks: xr.Dataset,

@@ -5,7 +5,8 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from swarmssm.models.baselines.neural import Memory, NeuralBaseline, Setting, StepNetwork
+from swarmssm.models.baselines.neural import NeuralBaseline
+from swarmssm.models.baselines.step_network import Memory, Setting, StepNetwork
 
 __all__ = ["SwarmNet"]
 
@@ -22,12 +23,12 @@ class SwarmNet(NeuralBaseline):
     over all pairs, whatever the graph of the training says, with s the typical change of each
     feature in a frame.
 
-    The original has three convolutions of width 3 (so w = 7), a first and a second layer of 64 to
-    256 units in each function depending on the task, sums over neighbours, nodes of goals and
-    obstacles beside the agents, and training with a growing horizon of its own predictions. Here
-    there are no goals, two convolutions of width 3 (w = 5), 64 units, a mean over neighbours and
-    the training of :class:`NeuralBaseline`. Frames before an individual was first seen are filled
-    by going back from there at constant velocity.
+    The example that comes with the authors' code has two convolutions of width 3 with 32 and 64
+    filters (so w = 5), two layers of 64 units in each function, a weight decay of 1e-3 and Adam at
+    1e-3, and nodes of goals and obstacles beside the agents. Here there are no goals, 64 filters in
+    both convolutions, a first layer of the edges that is the sum of a product of each end, a mean
+    over neighbours, no weight decay, and the training of :class:`NeuralBaseline`. Frames before an
+    individual was first seen are filled by going back from there at constant velocity.
     """
 
     name: ClassVar[str] = "swarmnet"

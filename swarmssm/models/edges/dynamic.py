@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from swarmssm.errors import InputError
 from swarmssm.models.batch import SwarmBatch
 from swarmssm.models.edges.encoders import Memory, StepEncoder
-from swarmssm.models.edges.inferred import EdgeMemory, InferredEdges
+from swarmssm.models.edges.inferred import EdgeState, InferredEdges
 from swarmssm.models.edges.types import EdgeTypes
 
 __all__ = ["DynamicRelationalEdges"]
@@ -61,12 +61,14 @@ class DynamicRelationalEdges(InferredEdges):
         if not (number and 0.0 <= share <= 1.0):
             raise InputError(f"held: it must be between 0 and 1, not {held!r}.")
         self.held = float(share)
-        self.ahead = self._new(smoothing=False)
+        #: Network of the learned prior.
+        self.ahead: StepEncoder = self._new(smoothing=False)
 
     def _new(self, *, smoothing: bool) -> StepEncoder:
         """Return a network that begins near the usual probabilities."""
         encoder = StepEncoder(self.scales, self.num_types, self.hidden, smoothing=smoothing)
         last = encoder.head[-1]
+        assert isinstance(last, nn.Linear)
         with torch.no_grad():
             last.bias.copy_(self.usual)
         return encoder
@@ -93,15 +95,15 @@ class DynamicRelationalEdges(InferredEdges):
         logits = torch.cat([encoder(self.seen(batch))[:, :-1], last], 1)
         return self.distribution(logits, prior.pairs)
 
-    def memory(self, batch: SwarmBatch, types: Tensor) -> EdgeMemory:
+    def memory(self, batch: SwarmBatch, types: Tensor) -> EdgeState:
         """Return what is known of edges at the end of windows with given types."""
         seen = self.seen(batch)
         _, told = self.ahead.scan(seen)
         space = self.scales.space
-        return EdgeMemory(types[:, -1], Memory(told[:, -1], seen.states[:, -1, :, space:]))
+        return EdgeState(types[:, -1], Memory(told[:, -1], seen.states[:, -1, :, space:]))
 
     def following(
-        self, states: Tensor, present: Tensor, known: EdgeMemory | None
+        self, states: Tensor, present: Tensor, known: EdgeState | None
     ) -> tuple[Tensor, Memory | None]:
         """Return the prior's logits of one more frame."""
         logits, memory = self.ahead.step(states, present, None if known is None else known.memory)

@@ -1,5 +1,7 @@
 """Networks that tell types of edges by how pairs move: of whole windows, and frame by frame."""
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor, nn
 
@@ -11,26 +13,19 @@ from swarmssm.models.scales import Scales
 __all__ = ["Memory", "PairEncoder", "StepEncoder", "WindowEncoder"]
 
 
-class Memory(tuple[Tensor, Tensor]):
-    """What a recurrence knows after a frame: hidden states ``(..., individual, neighbor, hidden)``
-    of pairs, and the velocities ``(..., individual, space)`` in that frame.
+class Memory(NamedTuple):
+    """What a recurrence knows after a frame.
+
+    Attributes
+    ----------
+    hidden
+        Of each pair, ``(..., individual, neighbor, hidden)``.
+    velocities
+        In that frame, ``(..., individual, space)``.
     """
 
-    __slots__ = ()
-
-    def __new__(cls, hidden: Tensor, velocities: Tensor) -> "Memory":
-        """Put the two together."""
-        return super().__new__(cls, (hidden, velocities))
-
-    @property
-    def hidden(self) -> Tensor:
-        """Hidden states of pairs."""
-        return self[0]
-
-    @property
-    def velocities(self) -> Tensor:
-        """Velocities in the last frame."""
-        return self[1]
+    hidden: Tensor
+    velocities: Tensor
 
 
 class PairEncoder(nn.Module):

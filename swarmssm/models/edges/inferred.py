@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, get_args
 
 import torch
 from torch import Tensor, nn
@@ -13,18 +13,18 @@ from swarmssm.models.batch import SwarmBatch
 from swarmssm.models.edges.encoders import Memory
 from swarmssm.models.edges.observed import Edges
 from swarmssm.models.edges.seen import Seen, seen_states
-from swarmssm.models.edges.types import EdgeTypes
+from swarmssm.models.edges.types import EdgeTypes, Gradient
 from swarmssm.models.layers import check_sizes
-from swarmssm.models.markov import StepInputs
+from swarmssm.models.markov import Step, StepInputs
 from swarmssm.models.parts import Part
 from swarmssm.models.relational import pairs_of
 from swarmssm.models.scales import Scales
 
-__all__ = ["EdgeMemory", "EdgeWalk", "InferredEdges"]
+__all__ = ["EdgeState", "EdgeWalk", "InferredEdges"]
 
 
 @dataclass(frozen=True)
-class EdgeMemory:
+class EdgeState:
     """What is known of edges at the last frame of a history.
 
     Attributes
@@ -38,13 +38,13 @@ class EdgeMemory:
     types: Tensor
     memory: Memory | None = None
 
-    def reshape(self, leading: tuple[int, ...]) -> "EdgeMemory":
+    def reshape(self, leading: tuple[int, ...]) -> "EdgeState":
         """Return the same with other leading dimensions."""
         types = self.types.reshape(*leading, *self.types.shape[-3:])
         if self.memory is None:
-            return EdgeMemory(types)
+            return EdgeState(types)
         hidden, velocities = self.memory
-        return EdgeMemory(
+        return EdgeState(
             types,
             Memory(
                 hidden.reshape(*leading, *hidden.shape[-3:]),
@@ -52,12 +52,12 @@ class EdgeMemory:
             ),
         )
 
-    def __getitem__(self, index: Any) -> "EdgeMemory":
+    def __getitem__(self, index: Any) -> "EdgeState":
         """Return a part along the leading dimensions."""
         if self.memory is None:
-            return EdgeMemory(self.types[index])
+            return EdgeState(self.types[index])
         hidden, velocities = self.memory
-        return EdgeMemory(self.types[index], Memory(hidden[index], velocities[index]))
+        return EdgeState(self.types[index], Memory(hidden[index], velocities[index]))
 
 
 class InferredEdges(Part, Edges):
@@ -90,8 +90,13 @@ class InferredEdges(Part, Edges):
         Width of the encoders.
     temperature
         Of the draws, see :class:`~swarmssm.models.edges.EdgeTypes`.
-    relaxed
-        Whether draws are relaxed; else they are one-hot, with straight-through gradients.
+    gradient
+        How the encoder learns. ``"conditional"``: from the probability of each type given the path
+        and all other edges (:meth:`conditional_term`), which takes an evaluation of the transition
+        for each sender and each other type; ``"straight-through"`` and ``"relaxed"``: by the
+        derivative of the ELBO by the weights of the graph, as in the original. That one is blind
+        where a law takes means over neighbours, since a mean over one is the same however small
+        its weight, and vanishes where the encoder is sure and wrong.
 
     Raises
     ------
@@ -109,7 +114,7 @@ class InferredEdges(Part, Edges):
         strengths: bool = False,
         hidden: int = 32,
         temperature: float = 0.5,
-        relaxed: bool = False,
+        gradient: Gradient = "conditional",
     ) -> None:
         super().__init__()
         try:
@@ -129,9 +134,12 @@ class InferredEdges(Part, Edges):
         number = isinstance(temperature, int | float) and not isinstance(temperature, bool)
         if not (number and 0.0 < temperature < math.inf):
             raise InputError(f"temperature: it must be positive, not {temperature!r}.")
+        if gradient not in get_args(Gradient):
+            listed = ", ".join(get_args(Gradient))
+            raise InputError(f"gradient: it must be one of {listed}, not {gradient!r}.")
         self.scales = scales
         self.num_types, self.no_edge, self.sparsity = num_types, no_edge, sparsity
-        self.hidden, self.temperature, self.relaxed = hidden, float(temperature), relaxed
+        self.hidden, self.temperature, self.gradient = hidden, float(temperature), gradient
         acting = num_types - int(no_edge)
         self.has_strengths = strengths and acting > 1
         if self.has_strengths:
@@ -174,9 +182,87 @@ class InferredEdges(Part, Edges):
         return self.weights(inputs.edge_types)
 
     def put(self, batch: SwarmBatch, types: Tensor) -> SwarmBatch:
-        """Return windows with given types, ``(batch, time or 1, individual, neighbor, type)``."""
+        """Return windows with given types, ``(batch, time or 1, individual, neighbor, type)``.
+
+        What is learned by :meth:`conditional_term` is not learned through the graph.
+        """
+        types = types.detach() if self.gradient == "conditional" else types
         types = types.expand(-1, batch.num_times, -1, -1, -1)
         return replace(batch, adjacency=self.weights(types), edge_types=types)
+
+    def conditional_term(
+        self,
+        step: Step,
+        path: Tensor,
+        there: Tensor,
+        inputs: StepInputs,
+        types: Tensor,
+        prior: EdgeTypes,
+    ) -> Tensor | None:
+        r"""Return a number for each window that is 0, and whose gradient teaches the encoder.
+
+        It is that of the cross-entropy with each pair's conditional distribution,
+
+        .. math:: \nabla_\phi \sum_{tij} \sum_k p(e_{tij} = k \mid e_{-tij}, z)
+            \log q_\phi(e_{tij} = k \mid x), \qquad e \sim q_\phi, \qquad
+            p(e_{tij} = k \mid \ldots) \propto p(e_{tij} = k)\, p(z \mid e_{-tij}, e_{tij} = k).
+
+        Where q is right for the other edges, the mean of these is the posterior of the pair: its
+        fixed point is :math:`p(e_{tij} \mid x)` itself, as of the wake phase of reweighted
+        wake-sleep (Bornschein and Bengio, 2015, ICLR). The next state of an individual depends on
+        the edges to it alone, so that those of one sender to all receivers, in all steps, are tried
+        together.
+
+        Parameters
+        ----------
+        step
+            From states and inputs to the distribution of the next states.
+        path
+            ``(batch, time, individual, state)``, held fixed.
+        there
+            Who is there, ``(batch, time, individual)`` of bool.
+        inputs
+            Of the steps, with types.
+        types
+            As they were drawn, ``(batch, time or 1, individual, neighbor, type)``.
+        prior
+            Of the types.
+
+        Returns
+        -------
+        ``(batch,)``; ``None`` where there is nothing to learn from it.
+        """
+        if self.gradient != "conditional" or not types.requires_grad or path.shape[1] < 2:
+            return None
+        assert inputs.edge_types is not None, "the windows have edges"
+        held = path.detach()
+        stays = there[:, 1:] & there[:, :-1]
+        with torch.no_grad():
+            present = inputs.edge_types
+            gains = torch.zeros_like(present)
+
+            def score(tried: Tensor) -> Tensor:
+                given = replace(inputs, adjacency=self.weights(tried), edge_types=tried)
+                found = step(held[:, :-1], given).log_prob(held[:, 1:])
+                return torch.where(stays, found, 0.0)
+
+            now = score(present)
+            for sender in range(present.shape[-2]):
+                column = present[..., sender, :]
+                for turn in range(1, self.num_types):
+                    other = column.roll(turn, -1)
+                    tried = present.clone()
+                    tried[..., sender, :] = other
+                    gained = score(tried) - now
+                    gains[..., sender, :] += gained.unsqueeze(-1) * other
+            if types.shape[1] == 1:
+                gains, known = gains.sum(1, keepdim=True), prior.scores
+            else:
+                known = prior.scores[:, :-1]
+            target = (known + gains).softmax(-1)
+        drawn = types if types.shape[1] == 1 else types[:, :-1]
+        # Conditional draws have the gradient of log q, and no value beside that of the type.
+        return (target * (drawn - drawn.detach())).sum((1, 2, 3, 4))
 
     def seen(self, batch: SwarmBatch) -> Seen:
         """Return what encoders are told of windows."""
@@ -204,12 +290,12 @@ class InferredEdges(Part, Edges):
         """
         raise TypeError(f"{type(self).__name__} must define posterior(batch, encoder, prior)")
 
-    def memory(self, batch: SwarmBatch, types: Tensor) -> EdgeMemory:
+    def memory(self, batch: SwarmBatch, types: Tensor) -> EdgeState:
         """Return what is known of edges at the end of windows with given types."""
-        return EdgeMemory(types[:, -1])
+        return EdgeState(types[:, -1])
 
     def following(
-        self, states: Tensor, present: Tensor, known: EdgeMemory | None
+        self, states: Tensor, present: Tensor, known: EdgeState | None
     ) -> tuple[Tensor, Memory | None]:
         """Return the logits of types in one more frame, and the memory after it.
 
@@ -228,14 +314,14 @@ class InferredEdges(Part, Edges):
         """Return the pairs whose types are drawn in a frame, ``(..., individual, neighbor)``."""
         return pairs_of(present)
 
-    def walk(self, known: EdgeMemory | None = None, *, sample: bool = True) -> "EdgeWalk":
+    def walk(self, known: EdgeState | None = None, *, sample: bool = True) -> "EdgeWalk":
         """Return edges of the frames to come, see :class:`EdgeWalk`."""
         return EdgeWalk(self, known, sample=sample)
 
     def distribution(self, logits: Tensor, pairs: Tensor, *, normalized: bool = True) -> EdgeTypes:
         """Return a distribution of types that draws as these edges do."""
         return EdgeTypes(
-            logits, pairs, self.temperature, relaxed=self.relaxed, normalized=normalized
+            logits, pairs, self.temperature, gradient=self.gradient, normalized=normalized
         )
 
 
@@ -253,7 +339,7 @@ class EdgeWalk(Edges):
         Whether types are drawn, or take their probabilities.
     """
 
-    def __init__(self, edges: InferredEdges, known: EdgeMemory | None, *, sample: bool) -> None:
+    def __init__(self, edges: InferredEdges, known: EdgeState | None, *, sample: bool) -> None:
         super().__init__()
         # In a list, or it would be a part of this.
         self._edges = [edges]
@@ -291,7 +377,7 @@ class EdgeWalk(Edges):
         # Of one frame, which the distribution wants as a dimension.
         law = edges.distribution(logits.unsqueeze(-4), pairs.unsqueeze(-3))
         types = (law.sample() if self.sample else law.mean).squeeze(-4)
-        self.known = EdgeMemory(types, memory)
+        self.known = EdgeState(types, memory)
         self.record.append(types)
 
     def graphs(self) -> Tensor:

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from swarmssm.models.batch import SwarmBatch
 from swarmssm.models.edges.encoders import Memory, WindowEncoder
-from swarmssm.models.edges.inferred import EdgeMemory, InferredEdges
+from swarmssm.models.edges.inferred import EdgeState, InferredEdges
 from swarmssm.models.edges.types import EdgeTypes
 
 __all__ = ["RelationalEdges"]
@@ -59,7 +59,7 @@ class RelationalEdges(InferredEdges):
         return self.distribution(encoder(self.seen(batch)), prior.pairs)
 
     def following(
-        self, states: Tensor, present: Tensor, known: EdgeMemory | None
+        self, states: Tensor, present: Tensor, known: EdgeState | None
     ) -> tuple[Tensor, Memory | None]:
         """Return logits by which types stay as they are, or the prior's at the first frame."""
         if known is None:

@@ -1,6 +1,6 @@
 """The type of each ordered pair, as one random variable that gradients flow through."""
 
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from pyro.distributions import TorchDistribution
@@ -9,7 +9,10 @@ from torch.distributions import constraints
 
 from swarmssm.models.relational import sample_edges
 
-__all__ = ["EdgeTypes", "IntegratedEdgeTypes"]
+__all__ = ["EdgeTypes", "Gradient", "PosteriorEdgeTypes"]
+
+#: How gradients flow through draws of types.
+Gradient = Literal["conditional", "straight-through", "relaxed"]
 
 
 class EdgeTypes(TorchDistribution):  # type: ignore[misc]
@@ -17,10 +20,12 @@ class EdgeTypes(TorchDistribution):  # type: ignore[misc]
 
     .. math:: \log p(e) = \sum_{t, i \ne j} \sum_k e_{tij,k} \log p_{tij,k}
 
-    Draws are made by the Gumbel trick, :math:`y = \mathrm{softmax}((\log p + g) / \tau)`
-    (Jang et al. 2017; Maddison et al. 2017). A straight-through draw is the one-hot vector of the
-    greatest y, exactly a draw of the categorical distribution, and hands gradients on to y; a
-    relaxed one is y itself, of which the sum above is linear, as in NRI.
+    Draws are made by the Gumbel trick, from :math:`y = \mathrm{softmax}((\log p + g) / \tau)`
+    (Jang et al. 2017; Maddison et al. 2017). The one-hot vector of the greatest y is exactly a draw
+    of the categorical distribution; its gradient is that of y (``"straight-through"``), or that of
+    :math:`\log p` (``"conditional"``, for
+    :meth:`swarmssm.models.InferredEdges.conditional_term`). A ``"relaxed"`` draw is y itself, of
+    which the sum above is linear, as in NRI.
 
     Parameters
     ----------
@@ -31,8 +36,8 @@ class EdgeTypes(TorchDistribution):  # type: ignore[misc]
         type: their draws are 0, and they have no term.
     temperature
         :math:`\tau`.
-    relaxed
-        Whether draws that can be differentiated are relaxed. :meth:`sample` never is.
+    gradient
+        See above. :meth:`sample` is never relaxed.
     normalized
         False: the logits are taken for the :math:`\log p` of the score as they stand. Their sum
         over types must be at most 1, so that the score is a lower bound of that of the
@@ -51,7 +56,7 @@ class EdgeTypes(TorchDistribution):  # type: ignore[misc]
         pairs: Tensor,
         temperature: float = 0.5,
         *,
-        relaxed: bool = False,
+        gradient: Gradient = "conditional",
         normalized: bool = True,
         validate_args: bool | None = None,
     ) -> None:
@@ -64,7 +69,7 @@ class EdgeTypes(TorchDistribution):  # type: ignore[misc]
         self.log_p = logits.log_softmax(-1)
         self.scores = self.log_p if normalized else logits
         self.pairs = pairs.expand(logits.shape[:-1])
-        self.temperature, self.relaxed, self.normalized = temperature, relaxed, normalized
+        self.temperature, self.gradient, self.normalized = temperature, gradient, normalized
         super().__init__(logits.shape[:-4], logits.shape[-4:], validate_args=validate_args)
 
     @property
@@ -84,7 +89,7 @@ class EdgeTypes(TorchDistribution):  # type: ignore[misc]
             self.scores.expand(shape),
             self.pairs.expand(shape[:-1]),
             self.temperature,
-            relaxed=self.relaxed,
+            gradient=self.gradient,
             normalized=self.normalized,
             validate_args=False,
         )
@@ -103,7 +108,13 @@ class EdgeTypes(TorchDistribution):  # type: ignore[misc]
     def rsample(self, sample_shape: Any = torch.Size()) -> Tensor:  # noqa: B008
         """Draw types, differentiably."""
         logits = self.log_p.expand(torch.Size(sample_shape) + self.log_p.shape)
-        return self._among(sample_edges(logits, self.temperature, hard=not self.relaxed))
+        if self.gradient == "conditional":
+            with torch.no_grad():
+                drawn = sample_edges(logits, hard=True)
+            # What is added is exactly 0, so that the types stay exactly one-hot.
+            return self._among(drawn + (logits - logits.detach()))
+        hard = self.gradient == "straight-through"
+        return self._among(sample_edges(logits, self.temperature, hard=hard))
 
     def sample(self, sample_shape: Any = torch.Size()) -> Tensor:  # noqa: B008
         """Draw one-hot types."""
@@ -113,6 +124,8 @@ class EdgeTypes(TorchDistribution):  # type: ignore[misc]
 
     def log_prob(self, value: Tensor) -> Tensor:
         """Return the log-probability of types, ``(...)``."""
+        # What reaches a conditional draw is not the derivative by the draw.
+        value = value.detach() if self.gradient == "conditional" else value
         each = (value * self.scores).sum(-1)
         return torch.where(self.pairs, each, 0.0).sum((-1, -2, -3))
 
@@ -126,35 +139,43 @@ class EdgeTypes(TorchDistribution):  # type: ignore[misc]
         return torch.where(self.pairs.unsqueeze(-1), values, 0.0)
 
 
-class IntegratedEdgeTypes(EdgeTypes):
-    r"""A posterior of types whose divergence from the prior is known and need not be sampled.
+class PosteriorEdgeTypes(EdgeTypes):
+    r"""The types of a guide.
 
-    In place of :math:`\log q(e)` it scores :math:`\log p(e) + \mathrm{KL}(q \| p)`: in an ELBO the
-    prior's own score of the draw cancels, and the divergence of the whole distribution is left,
-    of the same mean and without noise. It is no density: an importance weight needs
-    :class:`EdgeTypes`.
+    Integrated, they score :math:`\log p(e) + \mathrm{KL}(q \| p)` in place of
+    :math:`\log q(e)`: in an ELBO the prior's own score of the draw cancels, and the divergence of
+    the whole distribution is left, of the same mean and without noise. That is no density, and
+    importance weights need the other. Of conditional draws no gradient flows through the score.
 
     Parameters
     ----------
     posterior, prior
         Of the same pairs.
+    integrated
+        See above.
     """
 
-    def __init__(self, posterior: EdgeTypes, prior: EdgeTypes) -> None:
+    def __init__(self, posterior: EdgeTypes, prior: EdgeTypes, *, integrated: bool = True) -> None:
         super().__init__(
             posterior.scores,
             posterior.pairs,
             posterior.temperature,
-            relaxed=posterior.relaxed,
+            gradient=posterior.gradient,
             validate_args=False,
         )
-        self.prior = prior
+        self.prior, self.integrated = prior, integrated
 
     def log_prob(self, value: Tensor) -> Tensor:
-        """Return the prior's score and the divergence from it, ``(...)``."""
-        return self.prior.log_prob(value) + self.divergence(self.prior)
+        """Return the score, see the class, ``(...)``."""
+        law: EdgeTypes = self
+        if self.gradient == "conditional":
+            law = EdgeTypes(self.scores.detach(), self.pairs, gradient=self.gradient)
+        if not self.integrated:
+            return EdgeTypes.log_prob(law, value)
+        return self.prior.log_prob(value) + law.divergence(self.prior)
 
-    def expand(self, batch_shape: Any, _instance: Any = None) -> "IntegratedEdgeTypes":
+    def expand(self, batch_shape: Any, _instance: Any = None) -> "PosteriorEdgeTypes":
         """Return the distribution with another batch shape."""
         shape = torch.Size(batch_shape)
-        return IntegratedEdgeTypes(super().expand(shape), self.prior.expand(shape))
+        own, prior = super().expand(shape), self.prior.expand(shape)
+        return PosteriorEdgeTypes(own, prior, integrated=self.integrated)

@@ -22,8 +22,8 @@ class NodeLayer(nn.Module):
 
     def forward(self, values: Tensor) -> Tensor:
         """Return ``(..., hidden)``."""
-        between = functional.elu(self.first(values))
-        out: Tensor = self.norm(functional.elu(self.second(between)))
+        between = functional.elu(self.first(values), inplace=True)
+        out: Tensor = self.norm(functional.elu(self.second(between), inplace=True))
         return out
 
 
@@ -47,7 +47,8 @@ class PairLayer(nn.Module):
         first = self.receiver(nodes).unsqueeze(-2) + self.sender(nodes).unsqueeze(-3)
         if self.pair is not None:
             first = first + self.pair(pairs)
-        out: Tensor = self.norm(functional.elu(self.second(functional.elu(first))))
+        between = functional.elu(first, inplace=True)
+        out: Tensor = self.norm(functional.elu(self.second(between), inplace=True))
         return out
 
 

@@ -81,7 +81,8 @@ class LinearForceTransition(KinematicTransition):
         pull = pull_to_neighbors(states, inputs.adjacency)
         force = self.cohesion_gain.unsqueeze(-1) * pull[..., : self.space]
         force = force + self.alignment_gain.unsqueeze(-1) * pull[..., self.space :]
-        return self.dt * force
+        moved: Tensor = self.dt * force
+        return moved
 
     def velocity(
         self, positions: Tensor, velocities: Tensor, inputs: StepInputs

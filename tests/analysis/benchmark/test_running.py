@@ -18,7 +18,7 @@ def test_methods_are_measured_once_and_what_failed_has_its_reason(tmp_path):
     )
     assert parts[jobs[0]].measured.facts["mae"] == pytest.approx(1.0)
     assert parts[jobs[1]].measured is None
-    assert "no attribute simulation" in parts[jobs[1]].reason
+    assert "where the true forms are known" in parts[jobs[1]].reason
     assert told[0] == (0, 2, "")
     assert told[-1][:2] == (2, 2)
 
@@ -46,7 +46,7 @@ def test_methods_that_draw_are_repeated():
 @pytest.mark.parametrize(
     ("methods", "seeds", "said"),
     [
-        (["lstn"], 1, "methods: 'lstn' is unknown; choose all, or some of stay-put"),
+        (["lstn"], 1, "methods: 'lstn' is unknown; choose all, some of stay-put"),
         (["json:dumps"], 1, "json:dumps is no Baseline"),
         (["lstm", "lstm"], 1, "one stands there twice"),
         ([], 1, "none is given"),

@@ -90,7 +90,7 @@ def test_mistakes_are_told(options, said):
 
 def test_a_test_part_in_which_nobody_is_seen_twice_is_refused():
     position = straight(200)["position"].transpose("time", "individual", "space").to_numpy().copy()
-    position[170:199:2] = np.nan
+    position[160:199:2] = np.nan
     position[199] = np.nan
     with pytest.raises(InputError, match="nobody is seen in two consecutive frames"):
         make_task(make_tracks(position, fps=10.0))

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from swarmssm.models.baselines.dygrencoder import DyGrEncoder
-from swarmssm.models.baselines.neural import Setting
+from swarmssm.models.baselines.step_network import Setting
 from swarmssm.scaling import Scaler
 
 

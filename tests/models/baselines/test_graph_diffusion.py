@@ -9,7 +9,7 @@ from swarmssm.models.baselines.dcrnn import (
     DCRNN,
     DCRNNDirect,
 )
-from swarmssm.models.baselines.dygrencoder import DyGrEncoderDirect, DyGrEncoder
+from swarmssm.models.baselines.dygrencoder import DyGrEncoder, DyGrEncoderDirect
 from swarmssm.models.baselines.training import Training
 
 FPS = 10.0
@@ -42,7 +42,7 @@ RING = GraphRule.parse("radius:1.0")
 
 def errors_on_a_diffusion(baseline):
     """Return the mean squared error after fitting, and that of the best blind linear forecast."""
-    baseline.fit_states(diffusion(300, 0), FPS, Training(None, RING))
+    baseline.fit_states(diffusion(200, 0), FPS, Training(None, RING))
     test = diffusion(100, 1)
     predicted = baseline.one_step(test, FPS)
     error = ((predicted - test)[:, 1:, :, 2:] ** 2).mean()
@@ -68,12 +68,20 @@ def test_the_published_output_writes_the_state_itself(kind):
     np.testing.assert_allclose(baseline.predict(states, 1, FPS)[:, 0], expected, atol=1e-6)
 
 
-@pytest.mark.parametrize("kind", RESIDUAL + DIRECT, ids=lambda kind: kind.name)
+@pytest.mark.parametrize("kind", RESIDUAL, ids=lambda kind: kind.name)
 def test_it_learns_a_diffusion(kind):
-    baseline = kind()
+    assert_diffusion_is_learned(kind())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", DIRECT, ids=lambda kind: kind.name)
+def test_the_published_output_learns_it_too(kind):
+    assert_diffusion_is_learned(kind())
+
+
+def assert_diffusion_is_learned(baseline):
     baseline.order, baseline.ahead = FRAMES - 1, 1
     baseline.epochs, baseline.learning_rate = 10, 1e-2
     error, blind = errors_on_a_diffusion(baseline)
-    print(error, blind, NOISE**2)
-    assert error < 1.5 * NOISE**2
-    assert error < 0.2 * blind
+    # Of what the best blind forecast misses beyond the noise, at least 95 % is found.
+    assert NOISE**2 * 0.9 < error < NOISE**2 + 0.05 * (blind - NOISE**2)

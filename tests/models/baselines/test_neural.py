@@ -12,7 +12,7 @@ from swarmssm.models.baselines.dcrnn import (
     DCRNN,
     DCRNNDirect,
 )
-from swarmssm.models.baselines.dygrencoder import DyGrEncoderDirect, DyGrEncoder
+from swarmssm.models.baselines.dygrencoder import DyGrEncoder, DyGrEncoderDirect
 from swarmssm.models.baselines.knode import KNODE
 from swarmssm.models.baselines.lstm import LSTM
 from swarmssm.models.baselines.neural import NeuralBaseline, StepNetwork

@@ -78,7 +78,7 @@ def test_it_learns_a_pull():
     baseline.fit_states(train, FPS, Training())
     predicted = baseline.one_step(test, FPS)
     error = ((predicted - test)[:, 5:, :, 2:] ** 2).mean()
-    print(error, own_linear(train, test), 0.05**2)
-    # The error of a mean of 20 * 35 * 4 * 2 squares of the noise itself is within 6 sd, 0.11.
-    assert 0.89 * NOISE**2 < error < 1.3 * NOISE**2
-    assert error < 0.5 * own_linear(train, test)
+    blind = own_linear(train, test)
+    # Of what the best forecast from one's own state misses beyond the noise, 95 % is found. A mean
+    # of 20 * 35 * 4 * 2 squares of the noise itself is within 6 sd, 0.11, of its variance.
+    assert 0.89 * NOISE**2 < error < NOISE**2 + 0.05 * (blind - NOISE**2)

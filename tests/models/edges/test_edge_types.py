@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from swarmssm.models.edges import EdgeTypes
-from swarmssm.models.edges.types import IntegratedEdgeTypes
+from swarmssm.models.edges.types import PosteriorEdgeTypes
 from swarmssm.models.relational import pairs_of
 
 
@@ -46,7 +46,7 @@ def test_the_divergence_by_hand():
 
 def test_an_integrated_posterior_has_the_elbo_of_a_drawn_one_in_the_mean_of_all_draws():
     posterior, prior = two(Q.log()), two(P.log())
-    integrated = IntegratedEdgeTypes(posterior, prior)
+    integrated = PosteriorEdgeTypes(posterior, prior)
     drawn, terms = 0.0, set()
     for first, second in itertools.product(range(3), repeat=2):
         value = one_hot(first, second, 3)
@@ -72,8 +72,9 @@ def test_draws_are_one_hot_and_as_frequent_as_their_probabilities():
 def test_gradients_flow_through_draws_and_relaxed_ones_are_not_one_hot():
     logits = P.log().clone().requires_grad_()
     torch.manual_seed(0)
-    for relaxed in (False, True):
-        law = two(logits, relaxed=relaxed)
+    for kind in ("straight-through", "relaxed"):
+        relaxed = kind == "relaxed"
+        law = two(logits, gradient=kind)
         value = law.rsample()
         (gradient,) = torch.autograd.grad(value[0, 0, 1, 2], logits)
         assert gradient[0, 2] > 0
@@ -82,6 +83,22 @@ def test_gradients_flow_through_draws_and_relaxed_ones_are_not_one_hot():
         assert float(value[0, 0, 1].sum().detach()) == pytest.approx(1.0)
         assert ((value > 0) & (value < 1)).any() == relaxed
         assert set(law.sample().unique().tolist()) == {0.0, 1.0}
+
+
+def test_conditional_draws_have_the_gradient_of_log_q_and_scores_none():
+    logits = P.log().clone().requires_grad_()
+    law = two(logits)
+    value = law.rsample()
+    assert set(value.detach().unique().tolist()) == {0.0, 1.0}
+    weights = torch.tensor([0.2, 0.5, 0.3], dtype=torch.float64)
+    (gradient,) = torch.autograd.grad((weights * value[0, 0, 1]).sum(), logits)
+    # Of a cross-entropy: target minus probability.
+    assert torch.allclose(gradient[0], weights - P[0])
+    posterior = PosteriorEdgeTypes(law, two(Q.log()))
+    for integrated in (True, False):
+        posterior.integrated = integrated
+        assert not posterior.log_prob(value).requires_grad
+    assert float(posterior.log_prob(value)) == pytest.approx(float(law.log_prob(value).detach()))
 
 
 def test_scores_that_are_not_normalised_are_taken_as_they_stand():

@@ -19,7 +19,7 @@ from swarmssm.models import (
     StepInputs,
     SwarmBatch,
 )
-from swarmssm.models.edges import EdgeMemory
+from swarmssm.models.edges import EdgeState
 from swarmssm.models.edges.pair_features import PairFeatures
 from swarmssm.models.edges.seen import seen_states
 from swarmssm.models.ready import graph_ssm, kernel, with_edges
@@ -139,7 +139,7 @@ def test_a_learned_prior_knows_nothing_of_later_frames_and_goes_on_step_by_step(
     for frame in range(3, 6):
         logits, memory = edges.following(batch.observations[:, frame], batch.present[:, 0], known)
         assert torch.allclose(logits.log_softmax(-1), before[:, frame])
-        known = EdgeMemory(known.types, memory)
+        known = EdgeState(known.types, memory)
 
 
 def test_fixed_types_stay_in_a_free_run_and_changing_ones_are_drawn_anew():
