@@ -202,6 +202,28 @@ def test_training_is_drawn_over_epochs(planted):
     assert list(lines_of(axes[0])) == ["training"]
 
 
+def test_without_errors_of_one_step_there_is_the_loss_alone():
+    epochs = np.arange(1.0, 41.0)
+    loss = 5.0 - 0.2 * epochs
+    loss[[9, 25]] = 1e8
+    scored = np.full(40, np.nan)
+    scored[-1] = -2.5
+    history = xr.Dataset(
+        {"loss": ("epoch", loss), "validation_loss": ("epoch", scored)}, {"epoch": epochs}
+    )
+    _, axes = plots.plot_training(history)
+    assert axes.shape == (1,)
+    lines = {line.get_label(): line for line in axes[0].lines}
+    # One point makes no line: it is marked.
+    assert lines["validation"].get_marker() == "o"
+    assert lines["validation"].get_xydata().tolist() == [[40.0, -2.5]]
+    # Two spikes leave the axis, which ends a little above the first loss.
+    bottom, top = axes[0].get_ylim()
+    assert 4.8 < top < 6.0
+    assert -4.0 < bottom < -3.0
+    assert axes[0].get_yscale() == "linear"
+
+
 def test_runs_from_random_starts_have_axes_of_their_own(planted):
     runs = planted().random_starts
     _, axes = plots.plot_random_starts(runs)

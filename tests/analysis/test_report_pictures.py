@@ -89,3 +89,14 @@ def test_a_one_step_model_has_one_latent(swarm):
     assert faces == [True, False, True]
     styles = [arrow.get_linestyle() for arrow in drawn(ax, FancyArrowPatch)]
     assert styles == ["--", "-", "-"]
+
+
+def test_a_picture_of_its_own_is_no_larger_than_what_is_drawn(swarm):
+    fit = inference.fit("graph-vae", "encoder", swarm, epochs=1)
+    figure, ax = plot_model(fit)
+    width, height = figure.get_size_inches()
+    across, up = np.ptp(ax.get_xlim()), np.ptp(ax.get_ylim())
+    assert height / width == pytest.approx(up / across)
+    given = figure.add_subplot()
+    plot_model(fit, given)
+    assert tuple(figure.get_size_inches()) == (width, height)

@@ -129,9 +129,7 @@ def _fitted(
             "parameters": fit.num_parameters,
         }
         return forecaster, about, fit
-    baseline: Baseline = (
-        true_rule(task) if name == FLOOR else rival(name).for_tracks(task.tracks)
-    )
+    baseline: Baseline = true_rule(task) if name == FLOOR else rival(name).for_tracks(task.tracks)
     terms = Training(
         task.validation, None if task.graph == "complete" else task.rule(), seconds, seed
     )
@@ -175,8 +173,9 @@ def _free_runs(task: Task, forecaster: Forecaster) -> dict[str, float]:
             draws=draws,
             seed=task.seed,
         )
-        own = series.isel(series=1)
+        truth, own = series.isel(series=0), series.isel(series=1)
         for measure in ("amd", "avd"):
+            found[f"{measure}_true"] = float(truth[f"{measure}_mean"])
             found[f"{measure}{suffix}"] = float(own[f"{measure}_mean"])
             found[f"{measure}_error{suffix}"] = float(own[f"{measure}_error"])
     return found

@@ -5,6 +5,7 @@ from pathlib import Path
 from swarmssm.analysis.benchmark.measuring import FLOOR
 from swarmssm.analysis.benchmark.own import OWN
 from swarmssm.analysis.benchmark.results import Results, leader_sentence, shown_rows
+from swarmssm.analysis.benchmark.thesis_tables import FOOTNOTE, thesis_table
 from swarmssm.analysis.plots.benchmark import plot_benchmark
 from swarmssm.analysis.report.embed import as_svg, house_style
 from swarmssm.analysis.report.page import render
@@ -63,12 +64,21 @@ def write_results(results: Results, path: Path) -> list[Path]:
 
 def markdown(results: Results) -> str:
     """Return the table for a text file."""
-    rows = shown_rows(results)
-    titles = list(rows[0])
     lines = [f"# {results.task.title}", "", *_sentences(results), ""]
-    lines += ["| " + " | ".join(titles) + " |", "|" + "---|" * len(titles)]
-    lines += ["| " + " | ".join(row[t].replace("|", "/") for t in titles) + " |" for row in rows]
-    return "\n".join([*lines, "", *(f"- {text}" for text in COLUMNS), ""])
+    lines += [*_rows(shown_rows(results)), "", *(f"- {text}" for text in COLUMNS), ""]
+    caption, rows = thesis_table(results)
+    if rows:
+        lines += [f"{caption}.", "", *_rows(rows), "", FOOTNOTE, ""]
+    return "\n".join(lines)
+
+
+def _rows(rows: list[dict[str, str]]) -> list[str]:
+    """Return the lines of a table."""
+    titles = list(rows[0])
+    lines = ["| " + " | ".join(titles) + " |", "|" + "---|" * len(titles)]
+    for row in rows:
+        lines.append("| " + " | ".join(row[title].replace("|", "/") for title in titles) + " |")
+    return lines
 
 
 def benchmark_page(results: Results) -> str:
@@ -77,8 +87,12 @@ def benchmark_page(results: Results) -> str:
         figure, _ = plot_benchmark(results.errors, _own(results), results.task.fps)
         alt = "Squared error of each method over the time ahead; the numbers are in the table."
         picture = as_svg(figure, "errors", alt)
+    caption, thesis = thesis_table(results)
     return render(
         "benchmark.html",
+        caption=caption,
+        thesis=thesis,
+        footnote=FOOTNOTE,
         title=f"Benchmark: {results.task.title}",
         sentences=_sentences(results),
         picture=picture,

@@ -17,6 +17,8 @@ __all__ = ["FilteredBaseline", "typical_noise"]
 
 #: Noise levels are learned from pieces of this many frames, of at most so many individuals.
 PIECE, MOST_FOLLOWED = 150, 48
+#: First steps of the search, in logarithms of levels and odds: each is doubled.
+FIRST_STEP = 0.7
 #: Smallest tracking error, as a share of the typical length of a step.
 LEAST_TRACKING_ERROR = 1e-4
 
@@ -128,7 +130,13 @@ class FilteredBaseline(Baseline):
             if training.over:
                 raise StopIteration
 
-        options = {"xatol": 0.02, "fatol": 1e-4, "maxfev": self.evaluations * len(begin)}
+        corners = np.eye(len(begin) + 1, len(begin), k=-1)
+        options = {
+            "xatol": 0.02,
+            "fatol": 1e-4,
+            "maxfev": self.evaluations * len(begin),
+            "initial_simplex": np.array(begin) + FIRST_STEP * corners,
+        }
         simplex: Any = scipy.optimize.minimize
         found = simplex(surprise, begin, method="Nelder-Mead", callback=stop, options=options)
         best: Array = found.x

@@ -37,8 +37,10 @@ FARTHEST = 100.0
 #: Individuals of all frames, or pairs of them, that are looked at together when nothing is learned.
 ROWS_AT_ONCE = 100_000
 PAIRS_AT_ONCE = 200_000
-#: Windows of the validation part by which the best weights are chosen, and how far they go.
+#: Windows of the validation part by which the best weights are chosen, individuals in all of them,
+#: and how far they go.
 JUDGED_WINDOWS = 256
+JUDGED_ROWS = 5_000
 JUDGED_STEPS = 20
 
 
@@ -157,7 +159,7 @@ class NeuralBaseline(Baseline):
         return loss + torch.stack(ahead).mean() if ahead else loss
 
     def one_step(self, states: Array, fps: float) -> Array:
-        """Predict each frame from the :attr:`order` frames before it, or up to twice as many.
+        """Predict each frame from the :attr:`order` frames before it, or half as many at least.
 
         Parameters
         ----------
@@ -174,19 +176,21 @@ class NeuralBaseline(Baseline):
         frames, individuals, features = states.shape[-3:]
         rows = states.reshape(-1, frames, individuals, features)
         predicted = np.full(rows.shape, np.nan)
-        # Blocks of frames beside each other instead of one long loop: each is warmed up anew.
-        block = self.order
+        # Blocks of frames beside each other instead of one long loop: each is warmed up anew, and
+        # no memory becomes older than in training.
+        block = (self.order + 1) // 2
+        warm = self.order - block
         count = -(-(frames - 1) // block) if frames > 1 else 0
-        outside = ((0, 0), (block, count * block - (frames - 1)), (0, 0), (0, 0))
+        outside = ((0, 0), (warm, count * block - (frames - 1)), (0, 0), (0, 0))
         padded = np.pad(rows[:, : max(frames - 1, 0)], outside, constant_values=np.nan)
-        for some in _portions(np.arange(len(rows) * count), self._at_once(individuals, 2 * block)):
+        for some in _portions(np.arange(len(rows) * count), self._at_once(individuals, self.order)):
             row, first = some[:, None] // count, some[:, None] % count * block
-            window = padded[row, first + np.arange(2 * block)]
+            window = padded[row, first + np.arange(self.order)]
             past = self._windows(window, fps)
             with torch.no_grad():
                 expected, _ = network.run(past.states, past.seen, past.graph)
-            found = scaler.inverse(expected[:, block:].double().numpy())
-            found[~known(window[:, block:])] = np.nan
+            found = scaler.inverse(expected[:, warm:].double().numpy())
+            found[~known(window[:, warm:])] = np.nan
             target = first + 1 + np.arange(block)
             inside = target < frames
             predicted[np.broadcast_to(row, target.shape)[inside], target[inside]] = found[inside]
@@ -299,7 +303,8 @@ class NeuralBaseline(Baseline):
 
     def _judge(self, held: Trials, typical: Tensor) -> Callable[[StepNetwork], float]:
         """Return the function that scores a network by its rollouts."""
-        places = np.linspace(0, len(held.origins) - 1, min(JUDGED_WINDOWS, len(held.origins)))
+        most = max(1, min(JUDGED_WINDOWS, JUDGED_ROWS // held.states.shape[-2]))
+        places = np.linspace(0, len(held.origins) - 1, min(most, len(held.origins)))
         limit = self._at_once(held.states.shape[-2], self.order)
         origins = held.origins[torch.from_numpy(np.unique(places.astype(np.int64)))]
         parts = [held.windows(some) for some in torch.split(origins, limit)]

@@ -14,6 +14,8 @@ __all__ = ["best_of", "learning_and_judging_parts", "rollout_error"]
 
 HORIZONS = (1, 5, 10, 20, 50)
 MOST_ORIGINS = 20
+#: Squared errors below this, in standard deviations, are rounding alone, and all the same.
+ROUNDING = 1e-16
 #: Share of the frames that judges where there is no validation part.
 JUDGING_SHARE = 0.2
 
@@ -77,7 +79,7 @@ def rollout_error(baseline: Baseline, states: Array, fps: float, history: int) -
     for k in range(len(reached)):
         chosen = errors[:, :, k][scored[:, :, k]]
         if len(chosen):
-            logarithms.append(np.log(chosen.mean() + np.finfo(float).tiny))
+            logarithms.append(np.log(chosen.mean() + ROUNDING))
     return float(np.mean(logarithms)) if logarithms else 0.0
 
 

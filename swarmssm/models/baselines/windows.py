@@ -17,7 +17,7 @@ __all__ = ["Trials", "Windows", "carried_forward", "graphs_of", "standardiser"]
 Mask = npt.NDArray[np.bool_]
 
 #: Entries of the graphs of all frames that are made once and kept; more are made window by window.
-GRAPHS_KEPT = 300_000_000
+GRAPHS_KEPT = 100_000_000
 
 
 def standardiser(states: Array) -> Scaler:

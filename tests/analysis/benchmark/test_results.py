@@ -16,6 +16,7 @@ from swarmssm.analysis.benchmark import (
     write_results,
 )
 from swarmssm.analysis.benchmark.parts import Part
+from swarmssm.analysis.benchmark.thesis_tables import thesis_table
 
 from .conftest import straight
 
@@ -32,6 +33,7 @@ def measured(task, error, *, told=False, crps=1.0, **more):
     for k in task.steps:
         facts |= {f"roll_{k}": k * error, f"crps_{k}": crps, f"log_score_{k}": -crps}
         facts |= {f"coverage_{k}": 0.9}
+    facts |= {"amd_true": 1.5, "avd_true": 0.25}
     facts |= {"unscored": 0.0, "train_s": 2.0, **more}
     noise = np.random.default_rng(0).normal(size=shape)
     return Measured(facts, crps + 0.01 * noise, -crps + 0.0 * noise, np.arange(1, 11) * error)
@@ -42,6 +44,7 @@ def results(task):
     parts = {
         Job("lstm", 0): Part(measured(task, 1.0, crps=4.0), ""),
         Job("lstm", 1): Part(measured(task, 3.0, crps=6.0), ""),
+        Job("graph-vae", 0): Part(measured(task, 7.0, crps=8.0, amd=2.0, avd=0.5), ""),
         Job("stay-put", 0): Part(measured(task, 5.0, crps=9.0), ""),
         Job("kernel", 0): Part(measured(task, 1.5, crps=3.0), ""),
         Job("boids", 0): Part(measured(task, 0.5, crps=0.5, told=True), ""),
@@ -62,7 +65,7 @@ def test_seeds_become_a_mean_and_a_spread(results):
 
 def test_the_floor_is_on_top_and_who_failed_at_the_bottom(results):
     names = list(results.rows)
-    assert names == ["noise-floor", "boids", "kernel", "lstm", "stay-put", "sindy-pi"]
+    assert names == ["noise-floor", "boids", "kernel", "lstm", "stay-put", "graph-vae", "sindy-pi"]
     assert list(results.table().index) == names
     assert results.table().loc["sindy-pi", "failed"] == "It | failed."
 
@@ -83,7 +86,22 @@ def test_who_leads_is_told_without_those_who_are_told(results):
     assert "at one step kernel with 1.500 times its error" in text
     assert "boids leads" not in text
     lines = [line for line in text.splitlines() if line.startswith("|")]
-    assert len({line.count("|") for line in lines}) == 1
+    # Of all methods, and of the thesis's three.
+    assert len({line.count("|") for line in lines}) == 2
+
+
+def test_the_thesiss_table_is_done_again(results, task):
+    caption, rows = thesis_table(results)
+    assert "Table I (guppies)" in caption
+    assert "AMD is 1.50 and AVD 0.250" in caption
+    assert [row["method"] for row in rows] == ["graph-vae", "dygrencoder-direct", "dcrnn-direct"]
+    assert rows[0]["MSE (4.2)"] == "7.00"
+    assert rows[0]["AMD (4.4), printed"] == "0.960"
+    assert rows[1]["MSE (4.2)"] == "–"
+    assert caption in markdown(results)
+    assert caption in benchmark_page(results)
+    alone = collect(task, {Job("lstm", 0): Part(measured(task, 1.0), "")})
+    assert thesis_table(alone) == ("", [])
 
 
 def test_files_stand_beside_each_other(results, tmp_path):

@@ -49,8 +49,8 @@ def alternating(trials, frames, seed):
 
 def test_it_remembers():
     baseline = LSTM()
-    baseline.order, baseline.ahead = 4, 1
-    baseline.epochs, baseline.learning_rate = 14, 1e-2
+    baseline.order, baseline.ahead = 8, 1
+    baseline.epochs, baseline.learning_rate = 10, 1e-2
     baseline.fit_states(alternating(30, 100, 0), FPS, Training())
     test = alternating(20, 100, 2)
     error = ((baseline.one_step(test, FPS) - test)[:, 2:] ** 2).mean()

@@ -4,8 +4,8 @@ import numpy as np
 import torch
 
 from swarmssm.models.baselines.sindy_autoencoder import (
-    Sizes,
     SindyAutoencoder,
+    Sizes,
     SparseAutoencoder,
     TangentNetwork,
 )
