@@ -63,7 +63,7 @@ def swarm():
 
 
 def test_a_state_space_model_is_drawn_with_its_priors(swarm):
-    fit = inference.fit("boids", "auto", swarm, model_options={"limits": False})
+    fit = inference.fit("boids", "markov", swarm, steps=1, model_options={"limits": False})
     _, ax = plot_model(fit)
     assert len(drawn(ax, Circle)) == 6
     # Three emissions, two transitions, two graphs, two from the transition's box, one from noise.
@@ -76,7 +76,7 @@ def test_a_state_space_model_is_drawn_with_its_priors(swarm):
 
 
 def test_without_priors_there_are_no_boxes(swarm):
-    fit = inference.fit("graph-ssm", "auto", swarm, steps=2)
+    fit = inference.fit("graph-ssm", "auto", swarm, steps=1)
     _, ax = plot_model(fit)
     assert len(drawn(ax, FancyArrowPatch)) == 7
     assert "transition" not in words(ax)

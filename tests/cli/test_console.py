@@ -22,10 +22,10 @@ def test_words_stand_to_the_left_and_numbers_to_the_right(capsys):
 def test_a_name_is_not_broken_where_there_is_room(capsys, name):
     columns = ["rank", "model", "log score", "behind the best", "in standard errors"]
     columns += [f"{steps} ahead" for steps in (1, 2, 5, 10, 20)]
-    lines = printed(capsys, "", columns, [[1, name, *["-0.123"] * 8]])
+    lines = printed(capsys, "", columns, [[1, name, *["-0.12"] * 8]])
     assert all(len(line) <= 120 for line in lines)
     (row,) = [line for line in lines if name in line]
-    assert row.count("-0.123") == 8
+    assert row.count("-0.12") == 8
 
 
 def test_without_room_nothing_is_lost(capsys):

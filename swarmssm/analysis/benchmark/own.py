@@ -87,7 +87,8 @@ def _whole_trials(task: Task) -> bool:
     return not any(segment.trial in trained for segment in task.split.test)
 
 
-ANIMALS = {"relaxation": True, "limits": False, "noise": "additive"}
+#: Walls that are inferred from where animals happened to be push them out of the rest of the tank.
+ANIMALS = {"relaxation": True, "limits": False, "walls": False, "noise": "additive"}
 OWN: dict[str, OwnMethod] = {
     one.name: one
     for one in (
@@ -106,6 +107,13 @@ OWN: dict[str, OwnMethod] = {
             noisy=ANIMALS,
             exact_settings={"epochs": 150, "lr": 0.02},
             told=True,
+        ),
+        OwnMethod(
+            "linear",
+            "linear forces, solved exactly",
+            "linear",
+            exact={"observed": "states"},
+            exact_settings={"epochs": 100, "lr": 0.02},
         ),
         OwnMethod(
             "kernel",
@@ -127,6 +135,8 @@ OWN: dict[str, OwnMethod] = {
                 "weight_prior": None,
             },
             exact_settings={"window": 10, "batch_windows": 32, "lr": 0.02, "epochs": 48},
+            # Where the test part lies elsewhere in the tank, places say nothing.
+            noisy={"positions": False},
             noisy_settings={"epochs": 300},
         ),
     )

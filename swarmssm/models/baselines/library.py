@@ -16,7 +16,7 @@ Term = tuple[int, ...]
 
 #: Ridge penalty inside the thresholding, for columns of unit length; the coefficients that stay are
 #: then fitted anew without one.
-RIDGE = 1e-10
+RIDGE = 1e-16
 MOST_ROUNDS = 50
 
 
@@ -68,7 +68,10 @@ def sparse_coefficients(triangle: Array, targets: int, threshold: float) -> Arra
     lengths = np.where(lengths > 0.0, lengths, np.inf)
     heights = np.linalg.norm(outputs, axis=0)
     heights = np.where(heights > 0.0, heights, 1.0)
-    optimizer = STLSQ(threshold=threshold, alpha=RIDGE, max_iter=MOST_ROUNDS)
+    # Terms may be nearly alike: a singular value decomposition does not square their likeness.
+    optimizer = STLSQ(
+        threshold=threshold, alpha=RIDGE, max_iter=MOST_ROUNDS, ridge_kw={"solver": "svd"}
+    )
     with warnings.catch_warnings():
         # That a threshold leaves no term is a candidate like others.
         warnings.simplefilter("ignore")

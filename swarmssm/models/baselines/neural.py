@@ -37,10 +37,11 @@ FARTHEST = 100.0
 #: Individuals of all frames, or pairs of them, that are looked at together when nothing is learned.
 ROWS_AT_ONCE = 100_000
 PAIRS_AT_ONCE = 200_000
-#: Windows of the validation part by which the best weights are chosen, individuals in all of them,
-#: and how far they go.
+#: Windows of the validation part by which the best weights are chosen, individuals and pairs in all
+#: of them, and how far they go.
 JUDGED_WINDOWS = 256
 JUDGED_ROWS = 5_000
+JUDGED_PAIRS = 50_000
 JUDGED_STEPS = 20
 
 
@@ -303,9 +304,10 @@ class NeuralBaseline(Baseline):
 
     def _judge(self, held: Trials, typical: Tensor) -> Callable[[StepNetwork], float]:
         """Return the function that scores a network by its rollouts."""
-        most = max(1, min(JUDGED_WINDOWS, JUDGED_ROWS // held.states.shape[-2]))
+        individuals = held.states.shape[-2]
+        most = min(JUDGED_WINDOWS, self._batch(individuals, JUDGED_ROWS, JUDGED_PAIRS))
         places = np.linspace(0, len(held.origins) - 1, min(most, len(held.origins)))
-        limit = self._at_once(held.states.shape[-2], self.order)
+        limit = self._at_once(individuals, self.order)
         origins = held.origins[torch.from_numpy(np.unique(places.astype(np.int64)))]
         parts = [held.windows(some) for some in torch.split(origins, limit)]
 

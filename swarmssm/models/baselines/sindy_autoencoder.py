@@ -102,7 +102,10 @@ class SparseAutoencoder(nn.Module):
 
     def library(self, latent: Tensor, controls: Tensor) -> Tensor:
         """Return 1, products of up to three latent coordinates, and the controls."""
-        products = [latent[:, part].prod(-1) for part in self.products]
+        products = [
+            math.prod((latent[:, factor] for factor in part.unbind(-1)), start=latent.new_ones(()))
+            for part in self.products
+        ]
         return torch.cat([torch.ones_like(latent[:, :1]), latent, *products, controls], -1)
 
     def velocity(self, latent: Tensor, controls: Tensor) -> Tensor:
@@ -144,7 +147,7 @@ class SindyAutoencoder(Baseline):
     threshold 0.1 every 500 of 5,000 epochs, 1,000 more to refine, Adam with rate 0.001 and batches
     of 1,024. Here there are 3 latent coordinates for each dimension of space, and both *x* and
     :math:`\dot x` are brought to unit variance, so that :math:`\lambda_1 = 1`; :math:`\lambda_2 =
-    10^{-2}`, :math:`\lambda_3 = 10^{-5}`, the threshold is 0.02, and the rate begins at 0.003 and
+    10^{-2}`, :math:`\lambda_3 = 10^{-5}`, the threshold is 0.02, and the rate begins at 0.01 and
     falls as a cosine. States before an individual was first seen are filled by
     :func:`~swarmssm.models.baselines.gaps.fill_gaps`.
 
@@ -162,7 +165,7 @@ class SindyAutoencoder(Baseline):
     batch: ClassVar[int] = 1024
     widths: ClassVar[tuple[int, ...]] = (64, 32)
     latent_per_dimension: ClassVar[int] = 3
-    learning_rate: ClassVar[float] = 3e-3
+    learning_rate: ClassVar[float] = 1e-2
     decoded_weight: ClassVar[float] = 1.0
     encoded_weight: ClassVar[float] = 1e-2
     sparsity_weight: ClassVar[float] = 1e-5

@@ -1,6 +1,7 @@
 """Edges whose types are latent: inferred along with the paths."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, get_args
 
@@ -17,7 +18,7 @@ from swarmssm.models.edges.types import EdgeTypes, Gradient
 from swarmssm.models.layers import check_sizes
 from swarmssm.models.markov import Step, StepInputs
 from swarmssm.models.parts import Part
-from swarmssm.models.relational import pairs_of
+from swarmssm.models.relational import pairs_of, sample_edges
 from swarmssm.models.scales import Scales
 
 __all__ = ["EdgeState", "EdgeWalk", "InferredEdges"]
@@ -92,11 +93,12 @@ class InferredEdges(Part, Edges):
         Of the draws, see :class:`~swarmssm.models.edges.EdgeTypes`.
     gradient
         How the encoder learns. ``"conditional"``: from the probability of each type given the path
-        and all other edges (:meth:`conditional_term`), which takes an evaluation of the transition
-        for each sender and each other type; ``"straight-through"`` and ``"relaxed"``: by the
-        derivative of the ELBO by the weights of the graph, as in the original. That one is blind
-        where a law takes means over neighbours, since a mean over one is the same however small
-        its weight, and vanishes where the encoder is sure and wrong.
+        and all other edges, as met in a sweep of Gibbs sampling (:meth:`conditional_term`), which
+        takes an evaluation of the transition for each sender and each other type;
+        ``"straight-through"`` and ``"relaxed"``: by the derivative of the ELBO by the weights of
+        the graph, as in the original. That one is blind where a law takes means over neighbours,
+        since a mean over one is the same however small its weight, and vanishes where the encoder
+        is sure and wrong.
 
     Raises
     ------
@@ -199,19 +201,23 @@ class InferredEdges(Part, Edges):
         types: Tensor,
         prior: EdgeTypes,
     ) -> Tensor | None:
-        r"""Return a number for each window that is 0, and whose gradient teaches the encoder.
+        r"""Return a number for each window that is 0, and whose gradient teaches encoder and law.
 
-        It is that of the cross-entropy with each pair's conditional distribution,
+        From the types that were drawn one sweep of Gibbs sampling goes through the senders: each
+        pair's conditional distribution
 
-        .. math:: \nabla_\phi \sum_{tij} \sum_k p(e_{tij} = k \mid e_{-tij}, z)
-            \log q_\phi(e_{tij} = k \mid x), \qquad e \sim q_\phi, \qquad
-            p(e_{tij} = k \mid \ldots) \propto p(e_{tij} = k)\, p(z \mid e_{-tij}, e_{tij} = k).
+        .. math:: p(e_{tij} = k \mid e_{-tij}, z) \propto p(e_{tij} = k)\,
+            p(z \mid e_{-tij}, e_{tij} = k)
 
-        Where q is right for the other edges, the mean of these is the posterior of the pair: its
-        fixed point is :math:`p(e_{tij} \mid x)` itself, as of the wake phase of reweighted
-        wake-sleep (Bornschein and Bengio, 2015, ICLR). The next state of an individual depends on
-        the edges to it alone, so that those of one sender to all receivers, in all steps, are tried
-        together.
+        is what the encoder learns by cross-entropy, and a draw from it takes the place of the type.
+        The law of motion learns from the types after the sweep, which fit the path better than
+        those of an encoder that has not learned yet. Where q is right for the other edges, the
+        mean of the conditional distributions is the posterior of the pair: its fixed point is
+        :math:`p(e_{tij} \mid x)` itself, as in the wake phase of reweighted wake-sleep (Bornschein
+        and Bengio, 2015, ICLR) and in Markovian score climbing (Naesseth et al. 2020, NeurIPS).
+
+        The next state of an individual depends on the edges to it alone, so that those of one
+        sender to all receivers, in all steps, are tried together.
 
         Parameters
         ----------
@@ -237,32 +243,61 @@ class InferredEdges(Part, Edges):
         assert inputs.edge_types is not None, "the windows have edges"
         held = path.detach()
         stays = there[:, 1:] & there[:, :-1]
+
+        def score(tried: Tensor) -> Tensor:
+            given = replace(inputs, adjacency=self.weights(tried), edge_types=tried)
+            found = step(held[:, :-1], given).log_prob(held[:, 1:])
+            return torch.where(stays, found, 0.0)
+
+        drawn = types if self.is_static else types[:, :-1]
+        known = prior.scores if self.is_static else prior.scores[:, :-1]
         with torch.no_grad():
-            present = inputs.edge_types
-            gains = torch.zeros_like(present)
+            swept, targets = self._sweep(score, inputs.edge_types.clone(), known)
+        after, before = score(swept), score(inputs.edge_types)
+        # Of value 0 both: conditional draws have the gradient of log q beside their type.
+        learned = (targets * (drawn - drawn.detach())).sum((1, 2, 3, 4))
+        moved = (after - before).sum((1, 2))
+        return learned + moved - moved.detach()
 
-            def score(tried: Tensor) -> Tensor:
-                given = replace(inputs, adjacency=self.weights(tried), edge_types=tried)
-                found = step(held[:, :-1], given).log_prob(held[:, 1:])
-                return torch.where(stays, found, 0.0)
+    def _sweep(
+        self, score: Callable[[Tensor], Tensor], present: Tensor, known: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Draw each type anew, sender by sender; return the types and their distributions.
 
-            now = score(present)
-            for sender in range(present.shape[-2]):
-                column = present[..., sender, :]
-                for turn in range(1, self.num_types):
-                    other = column.roll(turn, -1)
-                    tried = present.clone()
-                    tried[..., sender, :] = other
-                    gained = score(tried) - now
-                    gains[..., sender, :] += gained.unsqueeze(-1) * other
-            if types.shape[1] == 1:
-                gains, known = gains.sum(1, keepdim=True), prior.scores
-            else:
-                known = prior.scores[:, :-1]
-            target = (known + gains).softmax(-1)
-        drawn = types if types.shape[1] == 1 else types[:, :-1]
-        # Conditional draws have the gradient of log q, and no value beside that of the type.
-        return (target * (drawn - drawn.detach())).sum((1, 2, 3, 4))
+        Parameters
+        ----------
+        score
+            From types to the log-density of each step of each individual,
+            ``(batch, step, individual)``.
+        present
+            ``(batch, step, individual, neighbor, type)``, changed in place.
+        known
+            Log-probabilities of the prior, of each step or of the whole window.
+        """
+        targets = torch.zeros_like(known)
+        pairs = present.sum(-1, keepdim=True)
+        now = score(present)
+        for sender in range(present.shape[-2]):
+            column = present[..., sender, :]
+            # Of each type, what it gains on the one that is there.
+            gains = torch.zeros_like(column)
+            scores = now.unsqueeze(-1) * column
+            for turn in range(1, self.num_types):
+                other = column.roll(turn, -1)
+                tried = present.clone()
+                tried[..., sender, :] = other
+                found = score(tried).unsqueeze(-1)
+                gains += (found - now.unsqueeze(-1)) * other
+                scores += found * other
+            if self.is_static:
+                gains = gains.sum(1, keepdim=True)
+            logits = known[..., sender, :] + gains
+            targets[..., sender, :] = logits.softmax(-1)
+            chosen = sample_edges(logits, hard=True) * pairs[..., sender, :]
+            present[..., sender, :] = chosen
+            # Who is no pair with the sender keeps its score.
+            now = torch.where(pairs[..., sender, 0] > 0, (scores * chosen).sum(-1), now)
+        return present, targets
 
     def seen(self, batch: SwarmBatch) -> Seen:
         """Return what encoders are told of windows."""

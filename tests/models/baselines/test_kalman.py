@@ -14,6 +14,12 @@ FPS = 5.0
 CRUISING, SWERVING, TRACKING, RATE = 0.1, 0.8, 0.05, 0.3
 
 
+class Quick(InteractingModels):
+    """With fewer evaluations of the likelihood."""
+
+    evaluations = 25
+
+
 def walk(num_times=40, num_individuals=3, process=0.3, tracking=TRACKING, seed=0):
     """Velocities that walk at random, positions seen with an error, velocities by difference."""
     random = np.random.default_rng(seed)
@@ -92,12 +98,12 @@ def test_expected_path_of_switching_modes_is_the_mean_of_drawn_ones():
 
 
 def test_noise_levels_are_found():
-    states = np.stack([walk(150, 8, 0.3, seed=seed) for seed in range(3)])
+    states = np.stack([walk(75, 16, 0.3, seed=seed) for seed in range(3)])
     baseline = KalmanVelocity()
     baseline.fit_states(states, FPS, Training())
     # A standard deviation from n coordinates has the relative error 1 / sqrt(2 n), and less is
     # known than of noise itself: twice as much, at four standard errors.
-    tolerance = 8.0 / np.sqrt(2 * 48 * 150 * 2)
+    tolerance = 8.0 / np.sqrt(2 * 48 * 75 * 2)
     assert baseline.process_noise == pytest.approx(0.3, rel=tolerance)
     assert baseline.tracking_noise == pytest.approx(TRACKING, rel=tolerance)
     assert baseline.differenced
@@ -105,10 +111,10 @@ def test_noise_levels_are_found():
 
 
 def test_with_noisy_tracks_it_beats_plain_constant_velocity_and_draws_cover_the_truth():
-    states = np.stack([walk(150, 8, 0.1, 0.1, seed=seed) for seed in range(3)])
+    states = np.stack([walk(75, 8, 0.1, 0.1, seed=seed) for seed in range(3)])
     baseline = KalmanVelocity()
     baseline.fit_states(states[:2], FPS, Training())
-    history, truth = states[2, :100], states[2, 100:110]
+    history, truth = states[2, :60], states[2, 60:70]
     path = baseline.predict(history, 10, FPS)
     straight = history[-1, :, :2] + history[-1, :, 2:] * np.arange(1, 11)[:, None, None] / FPS
     error = ((path - truth)[..., :2] ** 2).mean()
@@ -122,17 +128,17 @@ def test_with_noisy_tracks_it_beats_plain_constant_velocity_and_draws_cover_the_
 
 
 def test_circles_are_found_to_be_turns():
-    angle, frames = 0.2, np.arange(121)
+    angle, frames = 0.2, np.arange(51)
     path = np.stack([np.cos(angle * frames), np.sin(angle * frames)], axis=-1)
     states = np.concatenate([path[1:], np.diff(path, axis=0) * FPS], axis=-1)[None, :, None]
-    baseline = InteractingModels()
+    baseline = Quick()
     baseline.fit_states(states, FPS, Training())
-    ahead = baseline.predict(states[:, :80], 10, FPS)
-    truth = states[:, 80:90]
+    ahead = baseline.predict(states[:, :40], 10, FPS)
+    truth = states[:, 40:50]
     straight = KalmanVelocity()
     straight.fit_states(states, FPS, Training())
     error = np.abs(ahead - truth).max()
-    assert error < 0.1 * np.abs(straight.predict(states[:, :80], 10, FPS) - truth).max()
+    assert error < 0.1 * np.abs(straight.predict(states[:, :40], 10, FPS) - truth).max()
     assert baseline.num_parameters == 5
 
 

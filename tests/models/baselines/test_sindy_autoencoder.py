@@ -17,9 +17,10 @@ FPS = 10.0
 class Small(SindyAutoencoder):
     """With few steps and a narrow network."""
 
-    steps = 500
+    steps = 400
     batch = 128
     widths = (24, 12)
+    learning_rate = 2e-2
 
 
 def oscillators(num_trials=6, num_times=60, seed=0):

@@ -30,10 +30,19 @@ class QuickInteracting(InteractingModels):
     evaluations = 3
 
 
-class QuickAutoencoder(SindyAutoencoder):
-    """With few steps."""
+class QuickKalman(KalmanVelocity):
+    """With few evaluations of the likelihood."""
 
-    steps = 30
+    evaluations = 5
+
+
+class QuickAutoencoder(SindyAutoencoder):
+    """With few steps, and small."""
+
+    steps = 12
+    batch = 64
+    widths = (8,)
+    latent_per_dimension = 2
 
 
 class QuickPI(SindyPI):
@@ -42,7 +51,7 @@ class QuickPI(SindyPI):
     degree = 1
 
     def learn(self, states, fps, training):
-        super().learn(states, fps, replace(training, seconds=1.0))
+        super().learn(states, fps, replace(training, seconds=0.5))
 
 
 class QuickGeneric(SindyGeneric):
@@ -59,7 +68,7 @@ KINDS = [
     AR1,
     AR5,
     RidgeBoids,
-    KalmanVelocity,
+    QuickKalman,
     QuickInteracting,
     SindyBoids,
     QuickGeneric,
@@ -70,7 +79,7 @@ KINDS = [
 
 
 def flock(space=2):
-    tracks = simulate_boids(individuals=5, steps=36, trials=3, seed=3, space=space)
+    tracks = simulate_boids(individuals=5, steps=32, trials=3, seed=3, space=space)
     states = states_of(tracks)
     states[0, 12:15, 1] = np.nan
     states[1, 25:, 4] = np.nan
@@ -95,7 +104,7 @@ def test_each_step_is_the_forecast_from_what_came_before(baseline):
     predicted = baseline.one_step(states, FPS)
     assert predicted.shape == states.shape
     assert np.isnan(predicted[:, 0]).all()
-    for time in (1, 2, 11, 16, 30):
+    for time in (1, 2, 16, 30):
         ahead = baseline.predict(states[:, :time], 1, FPS)[:, 0]
         np.testing.assert_allclose(predicted[:, time], ahead, rtol=1e-6, atol=1e-6)
 
@@ -135,14 +144,14 @@ def test_it_comes_back_from_a_pickle(baseline):
 
 def test_draws_follow_the_seed_and_centre_on_what_is_expected(baseline):
     history = flock()[0, :20]
-    copies = np.broadcast_to(history, (4000, *history.shape))
+    copies = np.broadcast_to(history, (2000, *history.shape))
     first = baseline.predict(copies, 1, FPS, np.random.default_rng(1))
     again = baseline.predict(copies, 1, FPS, np.random.default_rng(1))
     np.testing.assert_array_equal(first, again)
     spread = first.std(axis=0)
     assert (spread > 0).all()
     expected = baseline.predict(history, 1, FPS)
-    # 20 means of 4000 draws each; 5 standard errors are exceeded by chance once in 10^5 runs.
+    # 20 means of 2000 draws each; 5 standard errors are exceeded by chance once in 10^5 runs.
     bound = 5.0 * spread / np.sqrt(len(copies))
     assert (np.abs(first.mean(axis=0) - expected) <= bound + 1e-9).all()
 
@@ -155,7 +164,7 @@ def test_three_dimensions(kind):
     assert np.isfinite(path).all()
 
 
-@pytest.mark.parametrize("kind", [AR5, KalmanVelocity, QuickAutoencoder])
+@pytest.mark.parametrize("kind", [AR5, QuickKalman, QuickAutoencoder])
 def test_the_same_seed_gives_the_same_numbers_and_leaves_the_state_of_torch(kind):
     before = torch.get_rng_state()
     first, again = fitted(kind), fitted(kind)
