@@ -80,7 +80,7 @@ class DynamicRelationalInference(RelationalBaseline):
         apart = 0.5 * (categorical_kl(late, prior[:, :-1]) + categorical_kl(late, early))
         divergence = (apart * pairs).sum()
         divergence = divergence / windows.seen[:, :-1].sum().clamp(min=1)
-        return self._bound(square, count, divergence, typical[0])
+        return self._bound(square, count, divergence, windows.states.shape[-1], steps)
 
     def edge_probabilities(self, states: Array, fps: float) -> Array:
         """Return how likely each type of edge is in each frame, looking back and ahead.

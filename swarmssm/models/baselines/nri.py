@@ -74,11 +74,11 @@ class NeuralRelationalInference(RelationalBaseline):
         logits = network.encoder(past.states, seen)
         pairs = pairs_of(seen.any(1))
         drawn = sample_edges(logits, self.temperature) * pairs.unsqueeze(-1)
-        square, count = network.reconstruct(self, windows, drawn)
+        square, count, steps = network.reconstruct(self, windows, drawn)
         divergence = categorical_kl(logits, network.get_buffer("prior"))
         divergence = (divergence * pairs).sum() / seen.any(1).sum().clamp(min=1)
-        steps = self.order + self.ahead - 1
-        return self._bound(square, count, divergence / steps, typical[0])
+        frames = self.order + self.ahead - 1
+        return self._bound(square, count, divergence / frames, windows.states.shape[-1], steps)
 
     def one_step(self, states: Array, fps: float) -> Array:
         """Predict each frame from the :attr:`order` frames before it, and their edges."""
@@ -189,12 +189,13 @@ class _Relational(StepNetwork):
 
     def reconstruct(
         self, baseline: NeuralRelationalInference, windows: Windows, edges: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """Return the sum of squared errors of the window, and the number of states in it."""
+    ) -> tuple[Tensor, Tensor, int]:
+        """Return the sum of squared errors, of how many states, and over how many steps."""
         frames = windows.states.shape[1]
         if isinstance(self.decoder, PerceptronDecoder):
             steps, starts = baseline._draw_stretch(frames)
-            return reconstruction(self.decoder, windows, edges.unsqueeze(1), steps, starts)
+            found = reconstruction(self.decoder, windows, edges.unsqueeze(1), steps, starts)
+            return *found, steps
         assert isinstance(baseline, RecurrentRelationalInference)
         told = max(1, frames - baseline.free)
         memory = {**self.begin(windows.states[:, 0]), "edges": edges}
@@ -209,7 +210,7 @@ class _Relational(StepNetwork):
             error = (windows.states[:, k + 1] - states).square().sum(-1)
             square = square + torch.where(here, error, 0.0).sum()
             count = count + here.sum()
-        return square, count
+        return square, count, baseline.free
 
 
 def _shortened(seen: Tensor) -> Tensor:

@@ -20,18 +20,16 @@ __all__ = ["RelationalBaseline", "reconstruction"]
 class RelationalBaseline(NeuralBaseline):
     r"""A baseline that is told of no graph, and gives each ordered pair a type of edge.
 
-    It is trained by the evidence lower bound of the states in a window, multiplied by a factor such
-    that the first term begins at about 1:
+    It is trained by the evidence lower bound of the states in a window,
 
     .. math::
-        \frac{1}{|s|^2} \overline{|x_{t+1} - \hat x_{t+1}|^2} + \frac{2 \sigma^2}{|s|^2 T N}
+        \sum_{t, i} \frac{|x_{t+1, i} - \hat x_{t+1, i}|^2}{2 \sigma^2} +
         \sum_{ij} \mathrm{KL}\bigl(q(z_{ij}) \,\|\, p(z)\bigr),
 
-    s being what features change by in a frame. The output variance is fixed as in the paper, except
-    that it is never below the mean square of recent errors: as long as the decoder is bad, the
-    errors would else decide on the edges before they can tell. From randomly chosen frames the decoder goes on by
-    itself over a number of steps that is drawn anew for each batch. At first it is one step only:
-    while the decoder is bad, errors over many steps say nothing of the edges.
+    here per feature, individual and frame. The output variance is fixed as in the paper, except
+    that it is never below the mean square of recent errors: as long as the decoder is bad, these
+    would else decide on the edges before they can tell. From randomly chosen frames the decoder
+    goes on by itself over a number of steps that is drawn anew for each batch; at first it is one.
     The graph of :class:`~swarmssm.models.baselines.training.Training` is not looked at.
 
     Attributes
@@ -72,7 +70,7 @@ class RelationalBaseline(NeuralBaseline):
 
     def __init__(self) -> None:
         super().__init__()
-        self._error: float | None = None
+        self._errors: dict[int, float] = {}
 
     def edge_probabilities(self, states: Array, fps: float) -> Array:
         """Return how likely each type of edge is, looking back and ahead.
@@ -93,7 +91,7 @@ class RelationalBaseline(NeuralBaseline):
 
     def learn(self, states: Array, fps: float, training: Training) -> None:
         """Train the network; the graph is for it to find out."""
-        self._error = None
+        self._errors = {}
         super().learn(states, fps, dataclasses.replace(training, graph=None))
 
     def _trials(self, states: Array, fps: float, after: int) -> Trials:
@@ -114,23 +112,26 @@ class RelationalBaseline(NeuralBaseline):
         trials.origins = torch.cat([late, ends.repeat_interleave(copies, dim=0)])
         return trials
 
-    def _bound(self, square: Tensor, count: Tensor, divergence: Tensor, change: Tensor) -> Tensor:
-        """Return minus the evidence lower bound, scaled.
+    def _bound(
+        self, square: Tensor, count: Tensor, divergence: Tensor, features: int, steps: int
+    ) -> Tensor:
+        """Return minus the evidence lower bound of a feature of a state, without its constant.
 
         Parameters
         ----------
         square, count
             Sum of squared errors, and of how many states.
         divergence
-            Of the posterior from the prior, for each individual and step.
-        change
-            What each feature changes by in a frame, ``(state,)``.
+            Of the posterior from the prior, for each individual and frame.
+        features
+            Of a state.
+        steps
+            Over which the decoder went on by itself.
         """
-        mean = square / count.clamp(min=1)
-        now = float(mean.detach()) / len(change)
-        self._error = now if self._error is None else 0.95 * self._error + 0.05 * now
-        weight = 2.0 * max(self.variance, self._error)
-        return (mean + weight * divergence) / change.square().sum()
+        mean = square / (features * count.clamp(min=1))
+        now = float(mean.detach())
+        recent = self._errors[steps] = 0.95 * self._errors.get(steps, now) + 0.05 * now
+        return mean / (2.0 * max(self.variance, recent)) + divergence / features
 
     def _scaled_windows(self, states: Array, fps: float) -> tuple[Tensor, Tensor]:
         """Return scaled states and who is seen, of whole trials."""
