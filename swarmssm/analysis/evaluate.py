@@ -30,8 +30,9 @@ from swarmssm.tracks import Array
 __all__ = ["evaluate"]
 
 HORIZONS = (1, 5, 10, 20, 50)
-#: Futures from which the density of a forecast is taken, and the levels of its intervals.
-DENSITY_DRAWS = 100
+#: With fewer sampled futures their covariance and the ends of their intervals say little.
+LEAST_FUTURES = 10
+#: Levels of the intervals of a forecast.
 LEVELS = (0.5, 0.8, 0.9)
 #: What a baseline's next graph is.
 EDGE_TITLES = {
@@ -51,6 +52,7 @@ def evaluate(
     origins: int = 40,
     starts: int = 5,
     draws: int = 10,
+    futures: int = 100,
     seed: int = 0,
     edges: str = "decoder",
 ) -> Evaluation:
@@ -91,6 +93,9 @@ def evaluate(
         Number of forecasts and of free runs in each trial, spread evenly over it.
     draws
         Number of free runs from each start.
+    futures
+        Number of sampled futures of each origin that the density of a forecast is taken from, at
+        least 10.
     seed
         Of all draws.
     edges
@@ -108,7 +113,7 @@ def evaluate(
     The noise floor is the score of the law that simulated the tracks, run without noise: what is
     left is noise, and no model can do better than by chance.
     """
-    _check(horizons, free_run_steps, origins, starts, draws, seed)
+    _check(horizons, free_run_steps, origins, starts, draws, futures, seed)
     subject = subject_of(fit, tracks, part)
     forecasters: list[Forecaster] = [ModelForecaster(subject, edges)]
     forecasters += [BaselineForecaster(subject, kind()) for kind in BASELINES.values()]
@@ -121,7 +126,9 @@ def evaluate(
         notes.append(reason)
 
     one_step = {f.name: f.one_step() for f in forecasters}
-    scores, used, more = _forecast_scores(subject, forecasters, one_step, horizons, origins, seed)
+    scores, used, more = _forecast_scores(
+        subject, forecasters, one_step, horizons, origins, futures, seed
+    )
     notes += more
     collective, more = collective_scores(
         subject, forecasters, steps=free_run_steps, starts=starts, draws=draws, seed=seed
@@ -135,6 +142,7 @@ def evaluate(
         "free_run_steps": free_run_steps,
         "starts": starts,
         "draws": draws,
+        "futures": futures,
         "seed": seed,
         "edges": edges,
         "fps": subject.fps,
@@ -167,6 +175,7 @@ def _forecast_scores(
     one_step: dict[str, tuple[Array, Array | None]],
     horizons: Sequence[int],
     origins: int,
+    futures: int,
     seed: int,
 ) -> tuple[xr.Dataset, list[int], list[str]]:
     """Return the errors of one step and of K steps, the horizons used, and notes."""
@@ -185,16 +194,16 @@ def _forecast_scores(
             f"{', '.join(map(str, left_out))} steps are not scored."
         )
     steps = max(used, default=min(max(horizons), int(room.max())))
-    futures = [f.forecasts(trials, rows, steps) for f in forecasters]
+    expected = [f.forecasts(trials, rows, steps) for f in forecasters]
     notes += [
         f"Steps ahead by the {f.title} are left out: it does not know all states they start from."
-        for f, future in zip(forecasters, futures, strict=True)
+        for f, future in zip(forecasters, expected, strict=True)
         if future is None
     ]
     ahead = _common(
         [
             scaler.transform(states)
-            for states in (subject.ahead(trials, rows, steps), *futures)
+            for states in (subject.ahead(trials, rows, steps), *expected)
             if states is not None
         ]
     )
@@ -206,9 +215,9 @@ def _forecast_scores(
             range(1, steps + 1),
             length=length,
         )
-        for future in futures
+        for future in expected
     ]
-    probable, more = _density_scores(subject, forecasters, trials, rows, steps, seed)
+    probable, more = _density_scores(subject, forecasters, trials, rows, steps, futures, seed)
     notes += more
     over_steps = ("method", "step")
     data = {
@@ -237,6 +246,7 @@ def _density_scores(
     trials: npt.NDArray[np.int64],
     rows: npt.NDArray[np.int64],
     steps: int,
+    futures: int,
     seed: int,
 ) -> tuple[dict[str, Array], list[str]]:
     """Return proper scores of forecast positions at each step, a row a forecaster, and notes."""
@@ -248,7 +258,7 @@ def _density_scores(
             trials,
             rows,
             range(1, steps + 1),
-            draws=DENSITY_DRAWS,
+            draws=futures,
             seed=seed,
             levels=LEVELS,
             scores=("log_score", "crps", "coverage"),
@@ -335,6 +345,7 @@ def _check(
     origins: int,
     starts: int,
     draws: int,
+    futures: int,
     seed: int,
 ) -> None:
     """Refuse arguments that are out of range."""
@@ -353,5 +364,7 @@ def _check(
     for name, value in counts.items():
         if value < 1:
             raise InputError(f"{name}: it must be at least 1, and it is {value}.")
+    if futures < LEAST_FUTURES:
+        raise InputError(f"futures: it must be at least {LEAST_FUTURES}, and it is {futures}.")
     if seed < 0:
         raise InputError(f"seed: it must not be negative, and it is {seed}.")

@@ -47,6 +47,11 @@ def as_svg(figure: Figure, name: str, alt: str) -> Markup:
     with matplotlib.rc_context(options), warnings.catch_warnings():
         # Text stays text, and the page's fonts have what matplotlib's own may lack.
         warnings.filterwarnings("ignore", r"Glyph .* missing from (font|current font)")
+        engine = figure.get_layout_engine()
+        if engine is not None:
+            # Left to itself matplotlib draws all once more for the layout, which is dear.
+            engine.execute(figure)
+            figure.set_layout_engine("none")
         figure.savefig(stream, format="svg", metadata=nothing, transparent=True, dpi=DPI)
     text = stream.getvalue()
     text = text[text.index("<svg") :]

@@ -207,7 +207,17 @@ def provenance_facts(fit: Fit) -> Facts:
 
 def scoring_facts(evaluation: Evaluation) -> Facts:
     """Return how a fit was scored."""
-    shown = ("part", "horizons", "origins", "free_run_steps", "starts", "draws", "seed", "edges")
+    shown = (
+        "part",
+        "horizons",
+        "origins",
+        "futures",
+        "free_run_steps",
+        "starts",
+        "draws",
+        "seed",
+        "edges",
+    )
     scoring = ", ".join(
         f"{name.replace('_', ' ')} {setting_words(evaluation.settings[name])}" for name in shown
     )

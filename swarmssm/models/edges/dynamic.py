@@ -66,7 +66,9 @@ class DynamicRelationalEdges(InferredEdges):
 
     def _new(self, *, smoothing: bool) -> StepEncoder:
         """Return a network that begins near the usual probabilities."""
-        encoder = StepEncoder(self.scales, self.num_types, self.hidden, smoothing=smoothing)
+        encoder = StepEncoder(
+            self.scales, self.num_types, self.hidden, smoothing=smoothing, near=self.near
+        )
         last = encoder.head[-1]
         assert isinstance(last, nn.Linear)
         with torch.no_grad():

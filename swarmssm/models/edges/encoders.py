@@ -10,7 +10,11 @@ from swarmssm.models.edges.seen import Seen
 from swarmssm.models.layers import check_sizes
 from swarmssm.models.scales import Scales
 
-__all__ = ["Memory", "PairEncoder", "StepEncoder", "WindowEncoder"]
+#: Place of the distance among the features of a pair, and the distance at which closeness says
+#: nothing, in spacings, to begin with.
+DISTANCE, MIDDLE = 1, 2.0
+
+__all__ = ["Closeness", "Memory", "PairEncoder", "StepEncoder", "WindowEncoder"]
 
 
 class Memory(NamedTuple):
@@ -73,6 +77,35 @@ class PairEncoder(nn.Module):
         return found
 
 
+class Closeness(nn.Module):
+    r"""Log-odds of an edge that fall with distance, :math:`-s\,(d - d_0)`, both learned.
+
+    Parameters
+    ----------
+    slope
+        s to begin with, per spacing.
+    """
+
+    def __init__(self, slope: float) -> None:
+        super().__init__()
+        self.slope = nn.Parameter(torch.tensor(float(slope)))
+        self.middle = nn.Parameter(torch.tensor(MIDDLE))
+
+    def forward(self, logits: Tensor, features: Tensor) -> Tensor:
+        """Return logits with these of all types but the first.
+
+        Parameters
+        ----------
+        logits
+            ``(..., type)``.
+        features
+            Of the pairs, ``(..., feature)``, as
+            :class:`~swarmssm.models.edges.pair_features.PairFeatures` has them.
+        """
+        near = self.slope * (self.middle - features[..., DISTANCE : DISTANCE + 1])
+        return torch.cat([logits[..., :1], logits[..., 1:] + near], -1)
+
+
 class WindowEncoder(nn.Module):
     """One type for each pair from a whole window: the encoder of neural relational inference.
 
@@ -86,10 +119,15 @@ class WindowEncoder(nn.Module):
         K.
     hidden
         Width; the original has 256.
+    near
+        Of :class:`Closeness`; ``None``, there is none.
     """
 
-    def __init__(self, scales: Scales, num_types: int, hidden: int = 32) -> None:
+    def __init__(
+        self, scales: Scales, num_types: int, hidden: int = 32, near: float | None = None
+    ) -> None:
         super().__init__()
+        self.closeness = None if near is None else Closeness(near)
         self.features = PairFeatures(scales, future=True)
         self.frame = PairEncoder(self.features.size, hidden)
         self.whole = PairEncoder(hidden, hidden)
@@ -98,12 +136,15 @@ class WindowEncoder(nn.Module):
     def forward(self, seen: Seen) -> Tensor:
         """Return logits ``(batch, 1, individual, neighbor, type)``."""
         pairs = seen.pairs
-        frames = self.frame(self.features.of_window(seen.states), pairs)
-        there = pairs.unsqueeze(-1).to(frames.dtype)
-        mean = (frames * there).sum(1, keepdim=True) / there.sum(1, keepdim=True).clamp(min=1.0)
+        features = self.features.of_window(seen.states)
+        there = pairs.unsqueeze(-1).to(features.dtype)
+        count = there.sum(1, keepdim=True).clamp(min=1.0)
+        mean = (self.frame(features, pairs) * there).sum(1, keepdim=True) / count
         whole = self.whole(mean, pairs.any(1, keepdim=True))
         logits: Tensor = self.head(torch.cat([mean, whole], -1))
-        return logits
+        if self.closeness is None:
+            return logits
+        return self.closeness(logits, (features * there).sum(1, keepdim=True) / count)
 
 
 class StepEncoder(nn.Module):
@@ -120,12 +161,21 @@ class StepEncoder(nn.Module):
     smoothing
         True: the recurrence goes both ways, and next velocities are told; a frame knows the whole
         window. False: it knows itself and the frames before it.
+    near
+        Of :class:`Closeness`; ``None``, there is none.
     """
 
     def __init__(
-        self, scales: Scales, num_types: int, hidden: int = 32, *, smoothing: bool
+        self,
+        scales: Scales,
+        num_types: int,
+        hidden: int = 32,
+        *,
+        smoothing: bool,
+        near: float | None = None,
     ) -> None:
         super().__init__()
+        self.closeness = None if near is None else Closeness(near)
         self.smoothing, self.hidden = smoothing, hidden
         self.features = PairFeatures(scales, future=smoothing)
         self.embed = PairEncoder(self.features.size, hidden)
@@ -143,13 +193,18 @@ class StepEncoder(nn.Module):
 
         Hidden states are ``(batch, time, individual, neighbor, hidden)``, forwards first.
         """
-        embedded = self.embed(self.features.of_window(seen.states), seen.pairs)
+        features = self.features.of_window(seen.states)
+        embedded = self.embed(features, seen.pairs)
         batch, times, count = embedded.shape[:3]
         rows = embedded.movedim(1, 3).reshape(-1, times, self.hidden)
         told, _ = self.recurrence(rows)
         told = told.reshape(batch, count, count, times, -1).movedim(3, 1)
+        return self._logits(features, embedded, told), told
+
+    def _logits(self, features: Tensor, embedded: Tensor, told: Tensor) -> Tensor:
+        """Return logits from features, embedding and recurrence of pairs."""
         logits: Tensor = self.head(torch.cat([embedded, told], -1))
-        return logits, told
+        return logits if self.closeness is None else self.closeness(logits, features)
 
     def step(self, states: Tensor, present: Tensor, memory: Memory | None) -> tuple[Tensor, Memory]:
         """Return the logits of one more frame, and what is known after it.
@@ -173,9 +228,10 @@ class StepEncoder(nn.Module):
         velocities = states[..., self.features.space :]
         before = velocities if memory is None else memory.velocities
         pairs = Seen(states, present).pairs
-        embedded = self.embed(self.features(states, before), pairs)
+        features = self.features(states, before)
+        embedded = self.embed(features, pairs)
         rows = embedded.reshape(-1, 1, self.hidden)
         start = None if memory is None else memory.hidden.reshape(1, -1, self.hidden)
         told, _ = self.recurrence(rows, start)
         told = told.reshape(embedded.shape)
-        return self.head(torch.cat([embedded, told], -1)), Memory(told, velocities)
+        return self._logits(features, embedded, told), Memory(told, velocities)

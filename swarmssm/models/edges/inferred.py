@@ -18,7 +18,7 @@ from swarmssm.models.edges.types import EdgeTypes, Gradient
 from swarmssm.models.layers import check_sizes
 from swarmssm.models.markov import Step, StepInputs
 from swarmssm.models.parts import Part
-from swarmssm.models.relational import pairs_of, sample_edges
+from swarmssm.models.relational import pairs_of
 from swarmssm.models.scales import Scales
 
 __all__ = ["EdgeState", "EdgeWalk", "InferredEdges"]
@@ -87,18 +87,23 @@ class InferredEdges(Part, Edges):
     strengths
         Whether the acting types but the first have a learned weight :math:`s_k`, which starts at
         1; else all have 1.
+    near
+        By how much log-odds of an edge fall with each spacing of distance before anything was
+        learned, for encoders (and a learned prior) that begin with the thought that neighbours act
+        on each other: 0, as probable at all distances. Learned on from there. ``None``: distance is
+        one feature among others. Where laws take means over neighbours, fits that begin without it
+        are apt to end with random edges and weak forces.
     hidden
         Width of the encoders.
     temperature
         Of the draws, see :class:`~swarmssm.models.edges.EdgeTypes`.
     gradient
         How the encoder learns. ``"conditional"``: from the probability of each type given the path
-        and all other edges, as met in a sweep of Gibbs sampling (:meth:`conditional_term`), which
-        takes an evaluation of the transition for each sender and each other type;
-        ``"straight-through"`` and ``"relaxed"``: by the derivative of the ELBO by the weights of
-        the graph, as in the original. That one is blind where a law takes means over neighbours,
-        since a mean over one is the same however small its weight, and vanishes where the encoder
-        is sure and wrong.
+        and all other edges (:meth:`conditional_term`), which takes an evaluation of the transition
+        for each sender and each other type; ``"straight-through"`` and ``"relaxed"``: by the
+        derivative of the ELBO by the weights of the graph, as in the original. That one is blind
+        where a law takes means over neighbours, since a mean over one is the same however small
+        its weight, and vanishes where the encoder is sure and wrong.
 
     Raises
     ------
@@ -114,6 +119,7 @@ class InferredEdges(Part, Edges):
         no_edge: bool = True,
         sparsity: float | None = None,
         strengths: bool = False,
+        near: float | None = None,
         hidden: int = 32,
         temperature: float = 0.5,
         gradient: Gradient = "conditional",
@@ -139,7 +145,12 @@ class InferredEdges(Part, Edges):
         if gradient not in get_args(Gradient):
             listed = ", ".join(get_args(Gradient))
             raise InputError(f"gradient: it must be one of {listed}, not {gradient!r}.")
-        self.scales = scales
+        number = isinstance(near, int | float) and not isinstance(near, bool)
+        if near is not None and not (number and math.isfinite(near) and no_edge):
+            raise InputError(
+                f"near: it must be a number, with a type that is no edge, not {near!r}."
+            )
+        self.scales, self.near = scales, near
         self.num_types, self.no_edge, self.sparsity = num_types, no_edge, sparsity
         self.hidden, self.temperature, self.gradient = hidden, float(temperature), gradient
         acting = num_types - int(no_edge)
@@ -201,20 +212,17 @@ class InferredEdges(Part, Edges):
         types: Tensor,
         prior: EdgeTypes,
     ) -> Tensor | None:
-        r"""Return a number for each window that is 0, and whose gradient teaches encoder and law.
+        r"""Return a number for each window that is 0, and whose gradient teaches the encoder.
 
-        From the types that were drawn one sweep of Gibbs sampling goes through the senders: each
-        pair's conditional distribution
+        It is that of the cross-entropy with each pair's distribution given all others,
 
-        .. math:: p(e_{tij} = k \mid e_{-tij}, z) \propto p(e_{tij} = k)\,
-            p(z \mid e_{-tij}, e_{tij} = k)
+        .. math:: \nabla_\phi \sum_{tij} \sum_k p(e_{tij} = k \mid e_{-tij}, z)
+            \log q_\phi(e_{tij} = k \mid x), \qquad e \sim q_\phi, \qquad
+            p(e_{tij} = k \mid \ldots) \propto p(e_{tij} = k)\, p(z \mid e_{-tij}, e_{tij} = k).
 
-        is what the encoder learns by cross-entropy, and a draw from it takes the place of the type.
-        The law of motion learns from the types after the sweep, which fit the path better than
-        those of an encoder that has not learned yet. Where q is right for the other edges, the
-        mean of the conditional distributions is the posterior of the pair: its fixed point is
-        :math:`p(e_{tij} \mid x)` itself, as in the wake phase of reweighted wake-sleep (Bornschein
-        and Bengio, 2015, ICLR) and in Markovian score climbing (Naesseth et al. 2020, NeurIPS).
+        Where q is right for the other edges, the mean of these is the posterior of the pair: the
+        fixed point is :math:`p(e_{tij} \mid x)` itself, as of the wake phase of reweighted
+        wake-sleep (Bornschein and Bengio, 2015, ICLR). All else learns by the ELBO.
 
         The next state of an individual depends on the edges to it alone, so that those of one
         sender to all receivers, in all steps, are tried together.
@@ -252,17 +260,14 @@ class InferredEdges(Part, Edges):
         drawn = types if self.is_static else types[:, :-1]
         known = prior.scores if self.is_static else prior.scores[:, :-1]
         with torch.no_grad():
-            swept, targets = self._sweep(score, inputs.edge_types.clone(), known)
-        after, before = score(swept), score(inputs.edge_types)
-        # Of value 0 both: conditional draws have the gradient of log q beside their type.
-        learned = (targets * (drawn - drawn.detach())).sum((1, 2, 3, 4))
-        moved = (after - before).sum((1, 2))
-        return learned + moved - moved.detach()
+            targets = self._conditionals(score, inputs.edge_types, known)
+        # Conditional draws have the gradient of log q, and no value beside that of the type.
+        return (targets * (drawn - drawn.detach())).sum((1, 2, 3, 4))
 
-    def _sweep(
+    def _conditionals(
         self, score: Callable[[Tensor], Tensor], present: Tensor, known: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """Draw each type anew, sender by sender; return the types and their distributions.
+    ) -> Tensor:
+        """Return the distribution of each type given all others.
 
         Parameters
         ----------
@@ -270,34 +275,22 @@ class InferredEdges(Part, Edges):
             From types to the log-density of each step of each individual,
             ``(batch, step, individual)``.
         present
-            ``(batch, step, individual, neighbor, type)``, changed in place.
+            ``(batch, step, individual, neighbor, type)``.
         known
-            Log-probabilities of the prior, of each step or of the whole window.
+            Log-probabilities of the prior, of each step or of the whole window; the result has its
+            shape.
         """
-        targets = torch.zeros_like(known)
-        pairs = present.sum(-1, keepdim=True)
+        gains = torch.zeros_like(present)
         now = score(present)
         for sender in range(present.shape[-2]):
-            column = present[..., sender, :]
-            # Of each type, what it gains on the one that is there.
-            gains = torch.zeros_like(column)
-            scores = now.unsqueeze(-1) * column
             for turn in range(1, self.num_types):
-                other = column.roll(turn, -1)
+                other = present[..., sender, :].roll(turn, -1)
                 tried = present.clone()
                 tried[..., sender, :] = other
-                found = score(tried).unsqueeze(-1)
-                gains += (found - now.unsqueeze(-1)) * other
-                scores += found * other
-            if self.is_static:
-                gains = gains.sum(1, keepdim=True)
-            logits = known[..., sender, :] + gains
-            targets[..., sender, :] = logits.softmax(-1)
-            chosen = sample_edges(logits, hard=True) * pairs[..., sender, :]
-            present[..., sender, :] = chosen
-            # Who is no pair with the sender keeps its score.
-            now = torch.where(pairs[..., sender, 0] > 0, (scores * chosen).sum(-1), now)
-        return present, targets
+                gains[..., sender, :] += (score(tried) - now).unsqueeze(-1) * other
+        if self.is_static:
+            gains = gains.sum(1, keepdim=True)
+        return (known + gains).softmax(-1)
 
     def seen(self, batch: SwarmBatch) -> Seen:
         """Return what encoders are told of windows."""

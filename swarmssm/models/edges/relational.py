@@ -49,7 +49,7 @@ class RelationalEdges(InferredEdges):
 
     def encoder(self) -> nn.Module:
         """Return a new network for :meth:`posterior`, which begins near the prior."""
-        encoder = WindowEncoder(self.scales, self.num_types, self.hidden)
+        encoder = WindowEncoder(self.scales, self.num_types, self.hidden, self.near)
         with torch.no_grad():
             encoder.head.bias.copy_(self.usual)
         return encoder

@@ -127,6 +127,7 @@ def test_with_noisy_tracks_it_beats_plain_constant_velocity_and_draws_cover_the_
     assert abs(covered - 0.9) < 4.0 * np.sqrt(0.9 * 0.1 / 16)
 
 
+@pytest.mark.slow
 def test_circles_are_found_to_be_turns():
     angle, frames = 0.2, np.arange(51)
     path = np.stack([np.cos(angle * frames), np.sin(angle * frames)], axis=-1)

@@ -55,6 +55,7 @@ def test_the_library_holds_all_products_up_to_the_third():
     assert network.coefficients.shape == (11, 2)
 
 
+@pytest.mark.slow
 def test_oscillators_are_learned_and_small_coefficients_dropped():
     states = oscillators()
     baseline = Small()
