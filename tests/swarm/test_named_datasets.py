@@ -72,7 +72,7 @@ def test_truth_that_is_added_is_what_a_simulator_writes():
 def test_mistakes_are_told(tmp_path):
     with pytest.raises(InputError, match="'bees' is unknown; choose one of boids"):
         load_dataset("bees")
-    with pytest.raises(InputError, match="the recording guppies is not there. Name the folder"):
+    with pytest.raises(InputError, match="the recording guppies is not there"):
         load_dataset("guppies", tmp_path)
     tracks = simulate_boids(4, 30, 2, seed=1)
     law = law_of(tracks)

@@ -144,7 +144,8 @@ def model_facts(fit: Fit) -> Facts:
         ("guide", _described(settings.guide)),
         ("learned numbers", str(fit.num_parameters)),
     ]
-    asked, rest = [], []
+    asked: Facts = []
+    rest: Facts = []
     for name, value in settings.model_dump(mode="json").items():
         if name in ("model", "guide") or value is None or value == {}:
             continue

@@ -38,8 +38,9 @@ class DynamicRelationalInference(RelationalBaseline):
 
     The original: encoder and decoder 256 wide, recurrences 64, heads of three layers 128 wide, 200
     epochs of Adam with 5e-4, batches of 16, errors over one step, both terms of the bound divided
-    by the number of their entries. Here 64 wide and recurrences 32, Adam with 2e-3 on a cosine, and the
-    bound itself, with errors over 1, later over up to 10 steps.
+    by the number of their entries. Here 64 wide and recurrences 32, Adam with 2e-3 on a cosine,
+    batches of some 80 individuals, and the bound itself, with errors over 1, later over up to 10
+    steps.
 
     Shapes
     ------
@@ -51,7 +52,7 @@ class DynamicRelationalInference(RelationalBaseline):
     paper: ClassVar[str] = "Graber and Schwing (2020), Dynamic neural relational inference, CVPR"
     learning_rate: ClassVar[float] = 2e-3
     recurrent: ClassVar[int] = 32
-    rows: ClassVar[int] = 160
+    rows: ClassVar[int] = 80
     decoded: ClassVar[int] = 50
 
     def build(self, setting: Setting) -> StepNetwork:

@@ -1,4 +1,4 @@
-"""All baselines by name. Each is imported when it is asked for: some need libraries of their own."""
+"""All baselines by name, each imported when it is asked for: some need libraries of their own."""
 
 import importlib
 

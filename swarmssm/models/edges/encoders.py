@@ -144,7 +144,8 @@ class WindowEncoder(nn.Module):
         logits: Tensor = self.head(torch.cat([mean, whole], -1))
         if self.closeness is None:
             return logits
-        return self.closeness(logits, (features * there).sum(1, keepdim=True) / count)
+        nearer: Tensor = self.closeness(logits, (features * there).sum(1, keepdim=True) / count)
+        return nearer
 
 
 class StepEncoder(nn.Module):

@@ -1,6 +1,7 @@
 """The SINDy autoencoder: its derivatives, and a motion that it is known to learn."""
 
 import numpy as np
+import pytest
 import torch
 
 from swarmssm.models.baselines.sindy_autoencoder import (

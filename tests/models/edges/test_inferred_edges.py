@@ -218,3 +218,23 @@ def test_edges_by_name():
 def test_names_and_options_that_are_none_are_refused(name, types, options, words):
     with pytest.raises(InputError, match=words):
         with_edges(kernel(scales()), scales(), name, types, options)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_edges_that_begin_near_fall_with_distance_by_the_slope(kind):
+    edges = kind(scales(), near=3.0)
+    encoder = edges.encoder()
+    with torch.no_grad():
+        head = encoder.head if kind is RelationalEdges else encoder.head[-1]
+        head.weight.zero_()
+        batch = windows()
+        seen = edges.seen(batch)
+        logits = encoder(seen)
+    distance = encoder.features.of_window(seen.states)[..., 1]
+    if kind is RelationalEdges:
+        distance = distance.mean(1, keepdim=True)
+    odds = logits[..., 1] - logits[..., 0]
+    off = ~torch.eye(4, dtype=torch.bool)
+    assert torch.allclose(odds[..., off], -3.0 * (distance - 2.0)[..., off], atol=1e-4)
+    with pytest.raises(InputError, match="near"):
+        kind(scales(), near=1.0, no_edge=False)
