@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
+from swarmssm.analysis.joining import joined
 from swarmssm.inference import Fit
 from swarmssm.tracks import states_of, with_trials
 
@@ -50,9 +51,9 @@ class Extrapolation:
             f"model was trained, by up to {self.depth:.2g} of its longer side"
         )
         if self.individuals:
-            names = ", ".join(self.individuals[:NAMED])
             more = len(self.individuals) - NAMED
-            text += f"; {names}{f' and {more} more' if more > 0 else ''} mostly so"
+            names = [*self.individuals[:NAMED], *([f"{more} more"] if more > 0 else [])]
+            text += f", most of those of {joined(names)} among them"
         text += ". What is said there is extrapolated"
         if self.walls:
             text += (

@@ -101,7 +101,7 @@ def benchmark(
         return
     if out.suffix != ".csv":
         raise InputError(f"--out: {out} must end in .csv.")
-    seconds = _seconds(budget)
+    seconds, ahead = _seconds(budget), _horizons(horizons)
     wanted = jobs_of(METHODS if methods == "all" else _names(methods), seeds)
     check_outputs(out, overwrite=overwrite or resume)
     tracks, title = _tracks(file, dataset, data)
@@ -110,7 +110,7 @@ def benchmark(
         title=title,
         graph=graph,
         split_by=split_by,
-        horizons=_horizons(horizons),
+        horizons=ahead,
         origins=origins,
         free_steps=free_run_steps,
         seed=seed,

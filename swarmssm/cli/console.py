@@ -64,8 +64,14 @@ def _widths(columns: Sequence[Sequence[str]], room: int) -> list[int | None]:
     """Return widths of columns in which no word is broken; ``None`` where there is no room."""
     whole = [max(map(len, texts), default=1) for texts in columns]
     least = [max((len(word) for t in texts for word in t.split()), default=1) for texts in columns]
+    # What a row is of stays on one line where that leaves room for words of the others.
+    if sum(least) - least[0] + whole[0] <= room:
+        least[0] = whole[0]
     if sum(whole) <= room or sum(least) > room:
         return [None] * len(columns)
+    if whole[0] + sum(least[1:]) <= room:
+        # What a row is about stays on one line if it can.
+        least[0] = whole[0]
     share = (room - sum(least)) / (sum(whole) - sum(least))
     return [low + int(share * (high - low)) for low, high in zip(least, whole, strict=True)]
 

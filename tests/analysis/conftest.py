@@ -107,7 +107,8 @@ def plant(**scores: Any) -> Evaluation:
                 np.broadcast_to(accuracy[:, None, None], (4, 1, 5)),
             )
             for name in ("accuracy", "precision", "recall", "auc")
-        },
+        }
+        | {"density": (("trial", "time"), np.full((1, 5), 0.5))},
         {
             "predictor": [*methods[:3], "commoner"],
             "title": (
@@ -141,6 +142,7 @@ def plant(**scores: Any) -> Evaluation:
         "free_run_steps": 4,
         "starts": 1,
         "draws": 1,
+        "futures": 10,
         "seed": 0,
         "edges": "decoder",
         "fps": 10.0,

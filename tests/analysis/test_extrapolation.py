@@ -41,7 +41,7 @@ def test_share_depth_and_names_are_those_of_who_was_moved(square):
     assert found.depth == pytest.approx((right + 20.0 - 10.0) / 10.0)
     assert found.individuals == ("bob",)
     assert found.note.startswith("50 % of the positions lie outside the rectangle")
-    assert "bob mostly so" in found.note
+    assert "most of those of bob among them" in found.note
 
 
 def test_who_is_not_seen_does_not_count(square):

@@ -28,11 +28,26 @@ WITHOUT = (
 )
 #: Pages without anything to run: what was found in recordings that are not part of the package.
 REPORTS = ("which-rule-each-species-follows",)
+#: A few steps by gradients in place of Laplace's method, which goes on until it stays.
+BRIEF = 'steps=5, guide_options={"globals": "multivariate"}'
+SHORT = "--steps 5 --guide-option globals=multivariate"
 #: What stands in a how-to -> less of it, for a quick look at whether it runs at all.
 LESS = {
-    "comparing-methods": {"--budget 10s": "--budget 2s", "ridge-boids,boids": "boids"},
-    "another-prior": {"steps=120": "steps=30", "--steps 120": "--steps 30"},
-    "another-transition": {"steps=120": "steps=30", "--steps 120": "--steps 30"},
+    "comparing-methods": {"constant-velocity,ar5,ridge-boids,boids": "ar5"},
+    "another-prior": {
+        "steps=120": "steps=30",
+        "--steps 120": "--steps 30",
+        '"linearized", tracks': f'"linearized", tracks, {BRIEF}',
+        "--guide linearized": f"--guide linearized {SHORT}",
+        "--model boids": f"--model boids {SHORT}",
+    },
+    "another-transition": {
+        "steps=120": "steps=30",
+        "--steps 120": "--steps 30",
+        "epochs=20": "epochs=2",
+        '("linearized", "markov")': '("markov",)',
+        "--epochs 20": SHORT,
+    },
     "another-guide": {"steps=120": "steps=60", "--steps 120": "--steps 60"},
     "what-do-my-latents-mean": {
         "--steps 100": "--steps 60",
@@ -43,6 +58,7 @@ LESS = {
     },
     "checking-a-fitted-swarm": {
         "load_sunbleak(6)": "load_sunbleak(4).isel(time=slice(0, 60))",
+        '"linearized", fish': f'"linearized", fish, {BRIEF}',
         "--draws 100": "--draws 10",
         "draws=40": "draws=10",
         "--draws 40": "--draws 10",
@@ -50,8 +66,9 @@ LESS = {
     },
     "comparing-models": {
         "slice(0, 120)": "slice(0, 80)",
+        "--model linear --out": f"--model linear {SHORT} --out",
         "--model boids --model-option limits=false --model-option noise=additive": "--model linear "
-        "--model-option homing=false",
+        f"--model-option homing=false {SHORT}",
         "--origins 16 --draws 40": "--origins 4 --draws 12",
         "--draws 200": "--draws 100",
         "--draws 400": "--draws 100",
@@ -60,6 +77,7 @@ LESS = {
     "which-rule-do-my-fish-follow": {
         "slice(0, 100)": "slice(0, 40)",
         "range(85, 95, 2)": "range(33, 35)",
+        "--model kernel": f"--model kernel {SHORT}",
         "--draws 10": "--draws 4",
     },
 }

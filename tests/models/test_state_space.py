@@ -569,7 +569,11 @@ def test_observations_of_another_type_are_refused_with_both():
         (0, dist.Normal(torch.zeros(4), 1.0).to_event(1), "initial: it must be .* Independent is"),
         (1, lambda states, inputs: None, "transition: it must be a Transition, and function is"),
         (2, PositionEmission, r"emission: .* PositionEmission is not. Call it: PositionEmission\("),
-        (3, "radius:1", "edges: it must be ObservedEdges, LatentEdges or None, and str is not"),
+        (
+            3,
+            "radius:1",
+            "edges: it must be ObservedEdges, LatentEdges, RelationalEdges or None, and str is not",
+        ),
     ],
 )
 def test_what_is_no_part_is_refused(place, value, message):

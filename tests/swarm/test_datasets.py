@@ -132,7 +132,7 @@ def test_the_clip_is_what_the_maker_makes(maker, recording, tmp_path, monkeypatc
     made = tmp_path / "clip.npz"
     monkeypatch.setattr(sys, "argv", ["make", str(recording), str(made)])
     maker.main()
-    assert "N = 10: tracked 98.9 %" in capsys.readouterr().out
+    assert "N = 10: tracked 98.9%" in capsys.readouterr().out
     with np.load(made) as new, CLIP.open("rb") as stream, np.load(stream) as old:
         assert new.files == old.files
         for name in old.files:

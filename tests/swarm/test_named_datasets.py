@@ -19,11 +19,12 @@ def test_the_benchmark_moves_by_the_rule_that_is_told_of_it(shared_data, name):
     tracks = load_dataset(name, shared_data)
     velocity = tracks["velocity"].transpose(*ORDER).to_numpy()
     expected = tracks["next_velocity"].transpose(*ORDER).to_numpy()
-    speed = np.linalg.norm(expected[:, :-1], axis=-1, keepdims=True)
+    # Noise is in proportion to the speed before the step.
+    speed = np.linalg.norm(velocity[:, :-1], axis=-1, keepdims=True)
     errors = ((velocity[:, 1:] - expected[:, :-1]) / speed).ravel()
-    # Noise of 0.02 |v|, less where speeds are clamped; float32 adds nothing to speak of.
-    assert np.sqrt((errors**2).mean()) < 0.02
-    assert np.abs(errors).max() < 0.02 * 6.5
+    # Noise of 0.02 |v|, less where speeds are clamped: there a quarter of the states are.
+    assert 0.015 < np.sqrt((errors**2).mean()) < 0.02
+    assert (np.abs(errors) < 0.06).mean() > 0.997
     assert abs(errors.mean()) < 6 * 0.02 / np.sqrt(errors.size)
 
 
@@ -56,7 +57,8 @@ def test_the_dog_is_not_among_the_sheep(shared_data):
 @pytest.mark.parametrize("name", ["vicsek", "couzin", "springs", "charged"])
 def test_simulated_sets_know_their_rule(name):
     tracks = load_dataset(name)
-    assert law_of(tracks).name in name
+    # What joins particles differs between trials.
+    assert law_of(tracks.isel(trial=slice(1))).name in name
     assert bool(np.isfinite(tracks["position"]).all())
 
 

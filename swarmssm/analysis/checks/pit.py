@@ -204,6 +204,6 @@ def pit_sentence(pit: xr.Dataset) -> str:
     what = " and ".join(wrong) if wrong else "of another shape than what comes"
     return (
         f"One-step forecasts are {what}: {spread}, and where in their forecasts they fall is "
-        f"not uniform (p = {format_number(least, 2) if least > 1e-6 else 'below 1e-6'}). The "
+        f"not uniform (p {'= ' + format_number(least, 2) if least > 1e-6 else 'below 1e-6'}). The "
         "p-value takes sightings as independent, which neighbours in one frame are not quite."
     )

@@ -365,8 +365,8 @@ def sentence(maps: xr.Dataset) -> str:
             )
         parts.append(
             f"for {name} the model's map correlates with that of the raw data by "
-            f"{correlation:.2f} (slope {float(one['slope']):.2f}), whose differences between "
-            f"places are to {100 * reliability:.0f} % more than sampling error"
+            f"{correlation:.2f} (slope {float(one['slope']):.2f}), and of what the latter differs "
+            f"by between places {100 * reliability:.0f} % is more than sampling error"
         )
     text = "; ".join(parts)
     return (

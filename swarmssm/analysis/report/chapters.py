@@ -38,8 +38,8 @@ OVERVIEW = (
     "Each row is a statistic: the dot is the recording, the bar holds 90 % of the simulated swarms."
 )
 OVER_TIME = (
-    "The first run, and the band of 90 % of the swarms simulated from the same start. Of a right "
-    "model the recording is within it in nine frames of ten; here it is in {found}."
+    "The first run, and the band of 90 % of the swarms simulated from the same start. If the model "
+    "is right the recording is within it in 90 % of the frames, on average; here {found}."
 )
 STATISTICS = (
     "The statistics that tell most, the recording beside the swarms simulated from the model; the "
@@ -119,7 +119,7 @@ def _within_band(checked: xr.Dataset) -> str:
         share = float(inside.sel(series=name))
         if not np.isnan(share):
             word = ORDER.get(str(name), str(name))
-            told.append(f"{100 * share:.0f} % by {word}")
+            told.append(f"{word} is in {100 * share:.0f} %")
     return joined(told)
 
 

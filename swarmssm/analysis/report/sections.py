@@ -34,6 +34,9 @@ from swarmssm.inference import Fit
 
 __all__ = ["Picture", "Section", "section_of"]
 
+#: Pictures that say something only where the graph is not always the same.
+WHO_SEES_WHOM, EDGE_ACCURACY = "Who sees whom, true and predicted", "Accuracy of the next graph"
+OF_GRAPHS = {WHO_SEES_WHOM, EDGE_ACCURACY}
 #: Size of figures that stand side by side.
 SIDE = (4.6, 3.7)
 PLAYER = (
@@ -208,13 +211,18 @@ def _forecasts(
             "Log score of positions at so many steps ahead, nats per coordinate (higher is better)",
             horizon_table(evaluation, "log_score"),
         ),
-        Table("The next interaction graph, means over time", edge_table(evaluation)),
     ]
+    notes = list(evaluation.notes)
+    if sentences.edges_vary(evaluation):
+        graph = Table("The next interaction graph, means over time", edge_table(evaluation))
+        tables.append(graph)
+    else:
+        notes.append("All pairs are linked at all times, or none: no graph is to be predicted.")
     moving = [] if player is None else [Fragment("The swarm in motion", PLAYER, player)]
     return Chapter(
         "forecasts",
         "Forecasts",
-        [*tables, Notes(list(evaluation.notes)), *moving, *_pictures(anchor, evaluation)],
+        [*tables, Notes(notes), *moving, *_pictures(anchor, evaluation)],
     )
 
 
@@ -267,13 +275,13 @@ def _pictures(anchor: str, evaluation: Evaluation) -> list[Picture]:
             lambda: [plots.plot_snapshots(evaluation.imitation)[0]],
         ),
         (
-            "Who sees whom, true and predicted",
+            WHO_SEES_WHOM,
             "4.5",
             sentences.graphs_sentence(evaluation),
             lambda: [plots.plot_graphs(evaluation.graphs)[0]],
         ),
         (
-            "Accuracy of the next graph",
+            EDGE_ACCURACY,
             "4.6, 4.13",
             sentences.edge_sentence(evaluation),
             lambda: [plots.plot_edge_accuracy(evaluation.edges)[0]],
@@ -303,7 +311,9 @@ def _pictures(anchor: str, evaluation: Evaluation) -> list[Picture]:
             lambda: [plots.plot_random_starts(evaluation.random_starts)[0]],
         ),
     ]
+    left_out = set() if sentences.edges_vary(evaluation) else OF_GRAPHS
     return [
         _picture(anchor, f"f{index}", title, thesis, sentence, draw)
         for index, (title, thesis, sentence, draw) in enumerate(drawn)
+        if title not in left_out
     ]

@@ -24,6 +24,7 @@ from swarmssm.tracks import Array
 __all__ = [
     "collective_sentence",
     "edge_sentence",
+    "edges_vary",
     "graphs_sentence",
     "horizon_sentence",
     "imitation_sentence",
@@ -144,11 +145,18 @@ def horizon_sentence(evaluation: Evaluation) -> str:
     return f"{text}; {far}."
 
 
+def edges_vary(evaluation: Evaluation) -> bool:
+    """Return whether some pairs are linked and others not: else no graph is to be predicted."""
+    density = evaluation.edges["density"].to_numpy()
+    known = density[np.isfinite(density)]
+    return not known.size or bool(known.min() < 1.0 and known.max() > 0.0)
+
+
 def edge_sentence(evaluation: Evaluation) -> str:
     """Say how much of the next graph is predicted rightly, beside what needs no model."""
     model = evaluation.model
     own = evaluation.edge_score("accuracy", model)
-    if math.isnan(own):
+    if math.isnan(own) or not edges_vary(evaluation):
         return ""
     known = {str(name) for name in evaluation.edges["predictor"].values}
     commoner = str(evaluation.edges["title"].sel(predictor="commoner").item())
@@ -368,6 +376,8 @@ def _named_rival(
 
 def _judge_edges(evaluation: Evaluation) -> int | None:
     """Compare wrong pairs of the model with those of the better of two that need no model."""
+    if not edges_vary(evaluation):
+        return None
     own = 1 - evaluation.edge_score("accuracy", evaluation.model)
     others = [1 - evaluation.edge_score("accuracy", name) for name in ("stay-put", "commoner")]
     return better(own, min((wrong for wrong in others if not math.isnan(wrong)), default=math.nan))

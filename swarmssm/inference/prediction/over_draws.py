@@ -10,9 +10,10 @@ from swarmssm.errors import WorkError
 
 __all__ = ["OverDraws", "in_pieces"]
 
-#: Numbers that the tensors of draws which are taken together have at most, each entry of which a
-#: network may turn into some tens.
-CHUNK = 200_000
+#: Numbers that the tensors of draws which are taken together have at most.
+CHUNK = 1_000_000
+#: The same for a network, which turns each entry into hundreds.
+NETWORK_CHUNK = 200_000
 
 
 class OverDraws:
@@ -39,7 +40,7 @@ class OverDraws:
     def __call__(self, *tensors: Tensor) -> Any:
         """Return what the function returns, with a dimension of draws in front as the tensors."""
         if self.together:
-            size = _at_once(tensors)
+            size = _at_once(tensors, CHUNK)
             together = torch.vmap(self.function, randomness="different", chunk_size=size)
             try:
                 return together(self.stacked, *tensors)
@@ -67,12 +68,12 @@ def in_pieces(function: Callable[..., tuple[Tensor, ...]], tensors: Sequence[Ten
     tensors
         Its arguments.
     """
-    size = _at_once(tensors)
+    size = _at_once(tensors, NETWORK_CHUNK)
     pieces = zip(*(torch.split(tensor, size) for tensor in tensors), strict=True)
     parts = [function(*piece) for piece in pieces]
     return tuple(torch.cat(part) for part in zip(*parts, strict=True))
 
 
-def _at_once(tensors: Sequence[Tensor]) -> int:
+def _at_once(tensors: Sequence[Tensor], most: int) -> int:
     """Return how many draws are taken together."""
-    return max(1, CHUNK // max(1, *(tensor[0].numel() for tensor in tensors)))
+    return max(1, most // max(1, *(tensor[0].numel() for tensor in tensors)))

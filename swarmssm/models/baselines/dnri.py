@@ -39,8 +39,8 @@ class DynamicRelationalInference(RelationalBaseline):
     The original: encoder and decoder 256 wide, recurrences 64, heads of three layers 128 wide, 200
     epochs of Adam with 5e-4, batches of 16, errors over one step, both terms of the bound divided
     by the number of their entries. Here 64 wide and recurrences 32, Adam with 2e-3 on a cosine,
-    batches of some 80 individuals, and the bound itself, with errors over 1, later over up to 10
-    steps.
+    batches of some 80 individuals, changes given to the encoder beside states, and the bound
+    itself, with errors over 1, later over up to 10 steps.
 
     Shapes
     ------
@@ -63,6 +63,7 @@ class DynamicRelationalInference(RelationalBaseline):
             self.hidden,
             recurrent=self.recurrent,
             head=self.hidden,
+            change=setting.change,
             relative=self.relative,
         )
         decoder = PerceptronDecoder(setting.change, self.hidden, self.edge_types)
@@ -121,7 +122,8 @@ class _Dynamic(StepNetwork):
         """Return a memory of no motion at all."""
         size = states.shape[-2]
         empty = states.new_zeros((len(states), size, size, self.encoder.recurrent))
-        return {"edge_hidden": empty, "edge_cell": empty}
+        nobody = states.new_zeros((*states.shape[:-1], states.shape[-1] + 1))
+        return {"edge_hidden": empty, "edge_cell": empty, "last": nobody}
 
     def step(
         self, states: Tensor, mask: Tensor, graph: Tensor, memory: Memory
@@ -135,9 +137,10 @@ class _Dynamic(StepNetwork):
 
     def _advance(self, states: Tensor, mask: Tensor, memory: Memory) -> tuple[Tensor, Memory]:
         """Return the expected state after each frame, by the prior's edges."""
-        before = EdgeMemory(memory["edge_hidden"], memory["edge_cell"])
+        before = EdgeMemory(memory["edge_hidden"], memory["edge_cell"], memory["last"])
         prior, after = self.encoder.filter(states, mask, before)
         edges = torch.softmax(prior, dim=-1) * pairs_of(mask).unsqueeze(-1)
         flat = states.flatten(0, 1)
         expected, _ = self.decoder(flat, edges.flatten(0, 1), self.decoder.begin(flat))
-        return expected.view(states.shape), {"edge_hidden": after.hidden, "edge_cell": after.cell}
+        remembered = {"edge_hidden": after.hidden, "edge_cell": after.cell, "last": after.last}
+        return expected.view(states.shape), remembered

@@ -40,9 +40,10 @@ class NeuralRelationalInference(RelationalBaseline):
     The original: windows of 49 frames, encoder and decoder 256 wide, 500 epochs of Adam with 5e-4
     halved every 200, batches of 128, output variance 5e-5 of data scaled to [-1, 1], temperature
     0.5, errors over 10 steps, two types without a fixed one for no edge. Here 64 wide, Adam with
-    2e-3 on a cosine, type 0 sends no message, layer in place of batch normalisation, windows
-    shortened now and then, so that short histories have edges, too; and of the 48 steps of a window
-    only some are decoded in each batch, over 1, 5 or 10 steps.
+    2e-3 on a cosine, type 0 sends no message, layer in place of batch normalisation; the encoder is
+    given changes beside states; windows are shortened now and then, so that short histories have
+    edges, too; and of the 48 steps of a window only some are decoded in each batch, over 1, 5 or 10
+    steps.
 
     Shapes
     ------
@@ -61,7 +62,12 @@ class NeuralRelationalInference(RelationalBaseline):
     def build(self, setting: Setting) -> StepNetwork:
         """Return encoder and decoder."""
         encoder = EdgeEncoder(
-            setting.features, self.order, self.edge_types, self.hidden, relative=self.relative
+            setting.features,
+            self.order,
+            self.edge_types,
+            self.hidden,
+            change=setting.change,
+            relative=self.relative,
         )
         decoder = self.decoder(setting.change, self.hidden, self.edge_types)
         return _Relational(encoder, decoder, sparse_logits(self.edge_types, self.no_edge))

@@ -205,7 +205,10 @@ class StepEncoder(nn.Module):
     def _logits(self, features: Tensor, embedded: Tensor, told: Tensor) -> Tensor:
         """Return logits from features, embedding and recurrence of pairs."""
         logits: Tensor = self.head(torch.cat([embedded, told], -1))
-        return logits if self.closeness is None else self.closeness(logits, features)
+        if self.closeness is None:
+            return logits
+        near: Tensor = self.closeness(logits, features)
+        return near
 
     def step(self, states: Tensor, present: Tensor, memory: Memory | None) -> tuple[Tensor, Memory]:
         """Return the logits of one more frame, and what is known after it.

@@ -6,20 +6,32 @@ import torch
 from torch import Tensor, nn
 
 from swarmssm.errors import InputError
+from swarmssm.models.relational.motion_features import (
+    individual_features,
+    num_individual_features,
+    num_relative_features,
+    relative_features,
+)
 from swarmssm.models.relational.pair_embedding import PairEmbedding, pairs_of
-from swarmssm.models.relational.relative_motion import num_relative_features, relative_features
 
 __all__ = ["DynamicEdgeEncoder", "EdgeMemory"]
 
 
 class EdgeMemory(NamedTuple):
-    """What the forward recurrence remembers of each pair.
+    """What there is to remember after a frame.
 
-    Both ``(batch, individual, neighbor, hidden)``.
+    Attributes
+    ----------
+    hidden, cell
+        Of the forward recurrence of each pair, ``(batch, individual, neighbor, hidden)``.
+    last
+        State of each individual, then 1 if it was there, else 0:
+        ``(batch, individual, feature + 1)``.
     """
 
     hidden: Tensor
     cell: Tensor
+    last: Tensor
 
 
 class DynamicEdgeEncoder(nn.Module):
@@ -49,7 +61,7 @@ class DynamicEdgeEncoder(nn.Module):
         Width of both recurrences; 64 in the paper.
     head
         Width of the three-layer networks :math:`f_p, f_q`; 128 in the paper.
-    relative
+    change, relative
         As for :class:`~swarmssm.models.relational.EdgeEncoder`.
 
     References
@@ -65,6 +77,7 @@ class DynamicEdgeEncoder(nn.Module):
         *,
         recurrent: int = 64,
         head: int = 64,
+        change: Tensor | None = None,
         relative: bool = False,
     ) -> None:
         super().__init__()
@@ -72,7 +85,9 @@ class DynamicEdgeEncoder(nn.Module):
             raise InputError(f"edge_types: it must be at least 2, and it is {num_types}.")
         self.num_types, self.relative, self.recurrent = num_types, relative, recurrent
         of_pair = num_relative_features(features) if relative else 0
-        self.embedding = PairEmbedding(features + 1, hidden, of_pair)
+        of_each = num_individual_features(features, change is not None)
+        self.embedding = PairEmbedding(of_each, hidden, of_pair)
+        self.register_buffer("change", change)
         self.forward_rnn = nn.LSTM(hidden, recurrent, batch_first=True)
         self.backward_rnn = nn.LSTM(hidden, recurrent, batch_first=True)
         self.prior = _head(recurrent, head, num_types)
@@ -101,9 +116,10 @@ class DynamicEdgeEncoder(nn.Module):
         self, states: Tensor, present: Tensor | None = None
     ) -> tuple[Tensor, Tensor, EdgeMemory]:
         """Return the logits of prior and posterior, and the memory after the last frame."""
-        embedded, pairs = self._embed(states, present)
-        ahead, memory = self._run(self.forward_rnn, embedded, None)
-        back, _ = self._run(self.backward_rnn, embedded.flip(1), None)
+        embedded, pairs, last = self._embed(states, present, None)
+        ahead, hidden, cell = self._run(self.forward_rnn, embedded, None)
+        back, _, _ = self._run(self.backward_rnn, embedded.flip(1), None)
+        memory = EdgeMemory(hidden, cell, last)
         both = torch.cat([ahead, back.flip(1)], dim=-1)
         known = pairs.unsqueeze(-1).to(both.dtype)
         return self.prior(ahead) * known, self.posterior(both) * known, memory
@@ -123,32 +139,40 @@ class DynamicEdgeEncoder(nn.Module):
         memory
             What was returned for the frames before; ``None`` at the beginning.
         """
-        embedded, pairs = self._embed(states, present)
-        ahead, memory = self._run(self.forward_rnn, embedded, memory)
-        return self.prior(ahead) * pairs.unsqueeze(-1).to(ahead.dtype), memory
+        embedded, pairs, last = self._embed(states, present, memory)
+        ahead, hidden, cell = self._run(self.forward_rnn, embedded, memory)
+        logits = self.prior(ahead) * pairs.unsqueeze(-1).to(ahead.dtype)
+        return logits, EdgeMemory(hidden, cell, last)
 
-    def _embed(self, states: Tensor, present: Tensor | None) -> tuple[Tensor, Tensor]:
-        """Return embeddings of the pairs of each frame, and which pairs there are."""
+    def _embed(
+        self, states: Tensor, present: Tensor | None, memory: EdgeMemory | None
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Return embeddings of the pairs of each frame, which there are, and the last frame."""
         if present is None:
             present = torch.ones(states.shape[:-1], dtype=torch.bool, device=states.device)
         states = torch.where(present.unsqueeze(-1), states, 0.0)
-        marked = torch.cat([states, present.unsqueeze(-1).to(states.dtype)], dim=-1)
+        before = None if memory is None else memory.last
+        values = individual_features(states, present, self._buffers["change"], before)
         between = relative_features(states, present).flatten(0, 1) if self.relative else None
         pairs = pairs_of(present)
-        embedded = self.embedding(marked.flatten(0, 1), between, pairs.flatten(0, 1))
-        return embedded.view(*states.shape[:2], *embedded.shape[1:]), pairs
+        embedded = self.embedding(values.flatten(0, 1), between, pairs.flatten(0, 1))
+        last = torch.cat([states[:, -1], present[:, -1].unsqueeze(-1).to(states.dtype)], dim=-1)
+        return embedded.view(*states.shape[:2], *embedded.shape[1:]), pairs, last
 
     def _run(
         self, rnn: nn.LSTM, embedded: Tensor, memory: EdgeMemory | None
-    ) -> tuple[Tensor, EdgeMemory]:
-        """Run a recurrence over time, each pair for itself."""
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Run a recurrence over time, each pair for itself; return also hidden state and cell."""
         batch, time, size = embedded.shape[:3]
         rows = embedded.permute(0, 2, 3, 1, 4).reshape(batch * size * size, time, -1)
-        begin = None if memory is None else tuple(m.reshape(1, len(rows), -1) for m in memory)
+        begin = None
+        if memory is not None:
+            parts = (memory.hidden, memory.cell)
+            begin = tuple(part.reshape(1, len(rows), -1) for part in parts)
         out, last = rnn(rows, begin)
         out = out.reshape(batch, size, size, time, -1).permute(0, 3, 1, 2, 4)
         hidden, cell = (values.reshape(batch, size, size, -1) for values in last)
-        return out, EdgeMemory(hidden, cell)
+        return out, hidden, cell
 
 
 def _head(features: int, hidden: int, num_types: int) -> nn.Sequential:

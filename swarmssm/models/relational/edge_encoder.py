@@ -4,8 +4,13 @@ import torch
 from torch import Tensor, nn
 
 from swarmssm.errors import InputError
+from swarmssm.models.relational.motion_features import (
+    individual_features,
+    num_individual_features,
+    num_relative_features,
+    relative_features,
+)
 from swarmssm.models.relational.pair_embedding import PairEmbedding, pairs_of
-from swarmssm.models.relational.relative_motion import num_relative_features, relative_features
 
 __all__ = ["EdgeEncoder"]
 
@@ -29,6 +34,10 @@ class EdgeEncoder(nn.Module):
         Number of edge types.
     hidden
         Width of the layers; 256 in the paper.
+    change
+        Typical change of each feature in a frame, ``(feature,)``. With it the encoder is also given
+        the changes from frame to frame in these units, in which accelerations stand out; the paper
+        leaves them to the network, which then needs ten times as many recordings.
     relative
         Whether each pair's relative positions and velocities, distance and relative speed are
         given, too. The paper leaves their discovery to the network.
@@ -46,6 +55,7 @@ class EdgeEncoder(nn.Module):
         num_types: int = 2,
         hidden: int = 64,
         *,
+        change: Tensor | None = None,
         relative: bool = False,
     ) -> None:
         super().__init__()
@@ -54,7 +64,9 @@ class EdgeEncoder(nn.Module):
                 raise InputError(f"{name}: it must be at least {least}, and it is {value}.")
         self.window, self.num_types, self.relative = window, num_types, relative
         of_pair = window * num_relative_features(features) if relative else 0
-        self.embedding = PairEmbedding(window * (features + 1), hidden, of_pair)
+        of_each = window * num_individual_features(features, change is not None)
+        self.embedding = PairEmbedding(of_each, hidden, of_pair)
+        self.register_buffer("change", change)
         self.out = nn.Linear(hidden, num_types)
 
     def forward(self, states: Tensor, present: Tensor | None = None) -> Tensor:
@@ -97,8 +109,8 @@ class EdgeEncoder(nn.Module):
 
     def _encode(self, states: Tensor, present: Tensor) -> Tensor:
         """Return the logits of windows of full length."""
-        marked = torch.cat([states, present.unsqueeze(-1).to(states.dtype)], dim=-1)
-        values = marked.transpose(1, 2).flatten(2)
+        change = self._buffers["change"]
+        values = individual_features(states, present, change).transpose(1, 2).flatten(2)
         between = None
         if self.relative:
             between = relative_features(states, present).movedim(1, 3).flatten(3)

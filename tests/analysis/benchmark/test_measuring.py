@@ -52,6 +52,7 @@ def test_the_true_rule_with_noise_is_as_sure_as_it_ought_to_be(flock):
     assert abs(facts["coverage_10"] - 0.9) < 6.0 * np.sqrt(0.9 * 0.1 / 40)
 
 
+@pytest.mark.slow
 def test_a_model_of_the_package_is_measured_on_the_same_frames(flock):
     task = make_task(flock)
     ours = measure(task, "boids", 20.0, 0)

@@ -5,10 +5,11 @@ import torch
 
 from swarmssm.errors import InputError
 from swarmssm.models.relational import DynamicEdgeEncoder, EdgeEncoder, pair_embedding
-from swarmssm.models.relational.relative_motion import relative_features
+from swarmssm.models.relational.motion_features import individual_features, relative_features
 
 CLOSE = {"rtol": 0, "atol": 2e-5}
 BATCH, TIME, SIZE = 3, 6, 5
+CHANGE = torch.tensor([0.5, 1.0, 1.5, 2.0])
 relative = pytest.mark.parametrize("relative", [False, True])
 
 
@@ -19,12 +20,13 @@ def motion(seed=0, time=TIME, size=SIZE):
 
 def static(relative=False, window=TIME):
     torch.manual_seed(0)
-    return EdgeEncoder(4, window, 3, 16, relative=relative)
+    return EdgeEncoder(4, window, 3, 16, change=CHANGE if relative else None, relative=relative)
 
 
 def dynamic(relative=False):
     torch.manual_seed(0)
-    return DynamicEdgeEncoder(4, 3, 16, recurrent=8, head=8, relative=relative)
+    change = CHANGE if relative else None
+    return DynamicEdgeEncoder(4, 3, 16, recurrent=8, head=8, change=change, relative=relative)
 
 
 def logits_of(kind, encoder, *args):
@@ -154,6 +156,26 @@ def test_relative_features_do_not_depend_on_where_the_origin_is():
     torch.testing.assert_close(found[1, 2, 0, 3], torch.stack(expected), rtol=1e-5, atol=1e-5)
     assert (found[0, 0, 1] == 0).all()
     assert (found[0, 0, :, 1] == 0).all()
+
+
+def test_changes_are_those_since_the_frame_before():
+    """Of who was there in both, in the unit given; and they go on from a frame kept in memory."""
+    states = motion()
+    present = torch.ones(BATCH, TIME, SIZE, dtype=torch.bool)
+    present[0, 2, 1] = False
+    shown = torch.where(present.unsqueeze(-1), states, 0.0)
+    found = individual_features(shown, present, CHANGE)
+    assert (found[..., :4] == shown).all()
+    assert (found[..., -1] == present).all()
+    moved = found[..., 4:8]
+    expected = (states[:, 1:] - states[:, :-1]) / CHANGE
+    expected[0, 1:3, 1] = 0.0
+    torch.testing.assert_close(moved[:, 1:], expected)
+    assert (moved[:, 0] == 0).all()
+    before = torch.cat([shown[:, 3], present[:, 3].unsqueeze(-1).float()], dim=-1)
+    late = individual_features(shown[:, 4:], present[:, 4:], CHANGE, before)
+    torch.testing.assert_close(late, found[:, 4:])
+    assert individual_features(shown, present, None).shape[-1] == 5
 
 
 def test_one_individual_alone_has_no_pairs():
