@@ -16,7 +16,7 @@ def test_it_writes_data_and_page_and_prints_the_main_numbers(
     result = swarmssm("analyze", run_folder, flock_file, "--out", "a.nc", *QUICK)
     assert result.status == 0, result.err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.html", "a.nc"]
-    for words in ("share of cohesion", "neighbours", "influence", "90 % interval", "a.html"):
+    for words in ("share of cohesion", "neighbours", "influence", "interval", "a.html"):
         assert words in result.out
     assert "analysing forces" in result.err
     found = Analysis.read(tmp_path / "a.nc")

@@ -113,6 +113,7 @@ def test_interrupted_before_anything_was_finished(swarmssm, tmp_path, monkeypatc
     assert (tmp_path / "sbc.jsonl").read_text() == old
 
 
+@pytest.mark.slow
 def test_recovery_like_a_file(swarmssm, tmp_path):
     made = swarmssm(
         *("simulate", "boids", "--individuals", 2, "--steps", 12, "--trials", 1),
@@ -138,6 +139,7 @@ def test_recovery_like_a_file(swarmssm, tmp_path):
     assert (tmp_path / "recovery.png").exists()
 
 
+@pytest.mark.slow
 def test_like_a_run_at_what_it_found(swarmssm, tmp_path):
     swarmssm(
         *("simulate", "boids", "--individuals", 2, "--steps", 10, "--trials", 1),

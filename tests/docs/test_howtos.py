@@ -196,7 +196,17 @@ def inside(monkeypatch, capsys, tmp_path):
     return run
 
 
-@pytest.mark.parametrize("name", [*LINES, *WITHOUT])
+#: How-tos that take long even with less.
+LONG = ("another-prior", "comparing-methods", "comparing-models")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow if name in LONG else ())
+        for name in (*LINES, *WITHOUT)
+    ],
+)
 def test_it_runs_with_less_of_everything(name, tmp_path, inside):
     check(name, tmp_path, inside, LESS[name])
 

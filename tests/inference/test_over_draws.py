@@ -127,7 +127,7 @@ def test_what_cannot_be_taken_together_is_taken_apart():
 
 
 def test_large_tensors_are_taken_in_pieces(monkeypatch):
-    monkeypatch.setattr(over_draws, "CHUNK", 12)
+    monkeypatch.setattr(over_draws, "NETWORK_CHUNK", 12)
     sizes = []
 
     def double(first, second):

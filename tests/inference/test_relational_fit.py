@@ -200,6 +200,7 @@ def exact_marginals(model, batch):
     return found
 
 
+@pytest.mark.slow
 def test_planted_graphs_are_found_nearly_as_well_as_can_be():
     n, number = 3, 400
     units = replace(scales(n), spacing=8.0, speed=5.0, step=0.6)
