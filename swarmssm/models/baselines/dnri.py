@@ -39,8 +39,8 @@ class DynamicRelationalInference(RelationalBaseline):
     The original: encoder and decoder 256 wide, recurrences 64, heads of three layers 128 wide, 200
     epochs of Adam with 5e-4, batches of 16, errors over one step, both terms of the bound divided
     by the number of their entries. Here 64 wide and recurrences 32, Adam with 2e-3 on a cosine,
-    batches of some 80 individuals, changes given to the encoder beside states, and the bound
-    itself, with errors over 1, later over up to 10 steps.
+    batches of some 80 individuals, and the bound itself, with errors over 1, later over up to 10
+    steps.
 
     Shapes
     ------
@@ -63,7 +63,7 @@ class DynamicRelationalInference(RelationalBaseline):
             self.hidden,
             recurrent=self.recurrent,
             head=self.hidden,
-            change=setting.change,
+            change=setting.change if self.changes else None,
             relative=self.relative,
         )
         decoder = PerceptronDecoder(setting.change, self.hidden, self.edge_types)

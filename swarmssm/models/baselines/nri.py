@@ -40,10 +40,9 @@ class NeuralRelationalInference(RelationalBaseline):
     The original: windows of 49 frames, encoder and decoder 256 wide, 500 epochs of Adam with 5e-4
     halved every 200, batches of 128, output variance 5e-5 of data scaled to [-1, 1], temperature
     0.5, errors over 10 steps, two types without a fixed one for no edge. Here 64 wide, Adam with
-    2e-3 on a cosine, type 0 sends no message, layer in place of batch normalisation; the encoder is
-    given changes beside states; windows are shortened now and then, so that short histories have
-    edges, too; and of the 48 steps of a window only some are decoded in each batch, over 1, 5 or 10
-    steps.
+    2e-3 on a cosine, type 0 sends no message, layer in place of batch normalisation; windows are
+    shortened now and then, so that short histories have edges, too; and of the 48 steps of a window
+    only some are decoded in each batch, over 1, 5 or 10 steps.
 
     Shapes
     ------
@@ -66,7 +65,7 @@ class NeuralRelationalInference(RelationalBaseline):
             self.order,
             self.edge_types,
             self.hidden,
-            change=setting.change,
+            change=setting.change if self.changes else None,
             relative=self.relative,
         )
         decoder = self.decoder(setting.change, self.hidden, self.edge_types)

@@ -37,7 +37,7 @@ class EdgeEncoder(nn.Module):
     change
         Typical change of each feature in a frame, ``(feature,)``. With it the encoder is also given
         the changes from frame to frame in these units, in which accelerations stand out; the paper
-        leaves them to the network, which then needs ten times as many recordings.
+        leaves them to the network.
     relative
         Whether each pair's relative positions and velocities, distance and relative speed are
         given, too. The paper leaves their discovery to the network.
