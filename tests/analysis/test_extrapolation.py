@@ -66,7 +66,9 @@ def test_walls_are_named_where_they_were_learned(square):
     away = moved(few, "bob", y=-30.0)
     for walls in (True, False):
         options = {"limits": False, "walls": walls}
-        fit = inference.fit("boids", "auto", few, model_options=options, fractions=(1, 0, 0))
+        how = {"model_options": options, "fractions": (1, 0, 0), "steps": 2}
+        how["guide_options"] = {"globals": "multivariate"}
+        fit = inference.fit("boids", "linearized", few, **how)
         assert ("walls=false" in beyond_training(fit, away).note) is walls
 
 

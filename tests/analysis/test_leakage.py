@@ -18,13 +18,13 @@ ORIGIN, STEPS = 25, 6
 
 @pytest.fixture(scope="module", params=["difference", "kalman", "auto"])
 def fit(request):
-    tracks = simulate.simulate_boids(individuals=4, steps=60, trials=3, seed=1)
+    tracks = simulate.simulate_boids(individuals=4, steps=45, trials=3, seed=1)
     return inference.fit(tracks=tracks, epochs=1, velocity=request.param, graph="radius:2.5")
 
 
 def scored_tracks(shift=0.0):
     """Tracks that are not those of the fit, moved apart after the origin."""
-    tracks = simulate.simulate_boids(individuals=4, steps=60, trials=2, seed=2)
+    tracks = simulate.simulate_boids(individuals=4, steps=45, trials=2, seed=2)
     later = {"time": slice(ORIGIN + 1, None)}
     generator = np.random.default_rng(0)
     for name in ("position", "velocity", "next_position", "next_velocity"):

@@ -205,7 +205,8 @@ def test_rollout_writes_tracks_that_start_where_it_was_told(
 
 
 def test_report_finds_its_data_and_refuses_other(swarmssm, run_folder, flock_file, tmp_path):
-    result = swarmssm("report", run_folder, "--out", "r.html", "--checks", 10)
+    few = ("--checks", 10, "--no-forces", "--no-player")
+    result = swarmssm("report", run_folder, "--out", "r.html", *few)
     assert result.status == 0, result.err
     page = (tmp_path / "r.html").read_text()
     assert page.lstrip().lower().startswith("<!doctype html>")

@@ -197,7 +197,7 @@ def inside(monkeypatch, capsys, tmp_path):
 
 
 #: How-tos that take long even with less.
-LONG = ("another-prior", "comparing-methods", "comparing-models")
+LONG = ("comparing-methods",)
 
 
 @pytest.mark.parametrize(

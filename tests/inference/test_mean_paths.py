@@ -64,7 +64,10 @@ def test_equals_messages_with_derivatives(is_gappy: bool, times: int) -> None:
 
 def test_second_derivatives() -> None:
     given, present = parts(True, 3)
-    assert torch.autograd.gradgradcheck(lambda *some: mean(list(some), present, True), given)
+    # The fast mode compares along random directions instead of entry by entry.
+    assert torch.autograd.gradgradcheck(
+        lambda *some: mean(list(some), present, True), given, fast_mode=True
+    )
 
 
 def test_single_precision_is_kept() -> None:

@@ -6,7 +6,8 @@ import multiprocessing
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from multiprocessing.context import SpawnProcess
+from multiprocessing.context import BaseContext
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 from swarmssm.analysis.benchmark.parts import (
@@ -124,17 +125,16 @@ def run_jobs(
     waiting = [job for job in jobs if job not in done]
     if progress is not None:
         progress(len(done), len(jobs), "")
-    running: dict[Job, tuple[SpawnProcess, float]] = {}
-    context = multiprocessing.get_context("spawn")
+    running: dict[Job, tuple[BaseProcess, float]] = {}
+    context = _context()
     limit = math.inf if seconds is None else PATIENCE * seconds + GRACE
     try:
         while waiting or running:
             while waiting and len(running) < processes:
                 job = waiting.pop(0)
                 path = part_path(folder, job.method, job.seed)
-                process = context.Process(
-                    target=_work, args=(task, job, seconds, path), daemon=True
-                )
+                work = (task, job, seconds, path)
+                process = context.Process(target=_work, args=work, daemon=True)  # type: ignore[attr-defined]
                 process.start()
                 running[job] = (process, time.monotonic())
             time.sleep(LOOK)
@@ -161,6 +161,15 @@ def run_jobs(
         for process, _ in running.values():
             process.kill()
     return {job: done[job] for job in jobs}
+
+
+def _context() -> BaseContext:
+    """Return how processes begin: where it can be, as copies of one that has imported all."""
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        return multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["swarmssm.analysis.benchmark.measuring"])
+    return context
 
 
 def _work(task: Task, job: Job, seconds: float | None, path: Path) -> None:

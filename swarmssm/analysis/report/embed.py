@@ -10,6 +10,7 @@ from typing import Any
 import matplotlib
 import matplotlib.style
 from markupsafe import Markup
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 __all__ = ["as_svg", "house_style"]
@@ -43,16 +44,10 @@ def as_svg(figure: Figure, name: str, alt: str) -> Markup:
     stream = io.StringIO()
     # Text stays text; and the same figure gives the same bytes.
     options: Any = {"svg.fonttype": "none", "svg.hashsalt": name}
-    nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
     with matplotlib.rc_context(options), warnings.catch_warnings():
         # Text stays text, and the page's fonts have what matplotlib's own may lack.
         warnings.filterwarnings("ignore", r"Glyph .* missing from (font|current font)")
-        engine = figure.get_layout_engine()
-        if engine is not None:
-            # Left to itself matplotlib draws all once more for the layout, which is dear.
-            engine.execute(figure)
-            figure.set_layout_engine("none")
-        figure.savefig(stream, format="svg", metadata=nothing, transparent=True, dpi=DPI)
+        _draw(figure, stream)
     text = stream.getvalue()
     text = text[text.index("<svg") :]
     opening, _, rest = text.partition(">")
@@ -83,3 +78,20 @@ def _each_once(text: str) -> str:
         return "" if again else found[0]
 
     return re.sub(r'\s\bid="([^"]*)"', first, text)
+
+
+def _draw(figure: Figure, stream: io.StringIO) -> None:
+    """Write a figure without grounds, as SVG.
+
+    ``savefig`` would do the same, but draws all once more for a layout that is there by then.
+    """
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)
+    for patch in (figure.patch, *(ax.patch for ax in figure.axes)):
+        patch.set(facecolor="none", edgecolor="none")
+    figure.set_dpi(DPI)
+    nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+    canvas: Any = FigureCanvasSVG(figure)
+    figure.set_layout_engine("none")
+    canvas.print_svg(stream, metadata=nothing)

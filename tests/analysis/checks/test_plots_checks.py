@@ -41,6 +41,19 @@ def test_a_dot_far_outside_becomes_an_arrow(checked):
     assert ax.get_xlim()[1] < 10
 
 
+def test_few_replicates_are_not_called_alike(checked):
+    """Nobody is as far out as the recording, and yet no p-value of so few is below 0.05."""
+    one = checked.copy(deep=True)
+    index = list(one["statistic"].values).index("amd")
+    one["verdict"][index] = "alike"
+    one["place"][index] = 1.0 + float(np.abs(one["place_replicated"].sel(statistic="amd")).max())
+    _, ax = plot_statistic(one, "amd")
+    assert ax.get_title().splitlines()[1].startswith("too few draws, p = ")
+    one["place"][index] = 0.0
+    _, ax = plot_statistic(one, "amd")
+    assert ax.get_title().splitlines()[1].startswith("alike, p = ")
+
+
 def test_a_number_is_a_line_in_the_histogram(checked):
     _, ax = plot_statistic(checked, "amd")
     assert sum(patch.get_height() for patch in ax.patches) == 19

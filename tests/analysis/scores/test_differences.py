@@ -140,6 +140,8 @@ def test_the_sentence_says_who_is_better_and_whether_by_chance(planted):
     assert told.startswith("5 steps ahead (0.500 s), a is off by a CRPS of 2.00 cm, beside 4.00 of")
     assert "better than constant velocity at each horizon, and not by chance" in told
     assert "closes 67 % of the gap" in told
+    behind = sentence(planted(known | {"a": 5.0 + noise}))
+    assert "One step ahead it is farther from the true rule than constant velocity." in behind
     assert told.endswith("Its 90 % intervals hold 90 % of what came, as they should.")
     level = {"a": 4.0 + 100 * noise, "constant-velocity": 4.0}
     told = sentence(planted(level, coverage=0.7, trained_on=[9, 0]))
