@@ -13,6 +13,7 @@ import pyro
 import torch
 import xarray as xr
 
+from swarmssm.analysis.inferred_graph import law_graph, step_inputs
 from swarmssm.errors import InputError
 from swarmssm.graphs import Graph, dense
 from swarmssm.inference import Fit
@@ -40,7 +41,8 @@ class PosteriorPaths:
         ``(trial, time, individual)`` of bool: the state is known.
     adjacency
         ``(trial, time, individual, individual)`` of 0.0 and 1.0: the graph as observed. A model
-        with latent edges makes its own.
+        with latent edges makes its own. Of one with inferred edges it is
+        ``(trial, time, individual, individual, type)``: how likely each type is.
     parameters
         For each draw the parameters that have a prior, by full name.
     tracks
@@ -92,7 +94,7 @@ def posterior_paths(
     return PosteriorPaths(
         states.masked_fill(~present.unsqueeze(-1), 0.0),
         present,
-        prepared.adjacency.to(torch.float64),
+        law_graph(fit, prepared).to(torch.float64),
         parameters,
         prepared.tracks,
     )
@@ -264,7 +266,7 @@ class _StateSpaceMotion(Motion):
         scaled = self.scaler.transform_tensor(states)
         if present is not None:
             scaled = scaled.masked_fill(~present.unsqueeze(-1), 0.0)
-        return scaled.to(self.dtype), StepInputs(adjacency, None, present)
+        return scaled.to(self.dtype), step_inputs(self.model, adjacency, present)
 
 
 class _OneStepMotion(Motion):

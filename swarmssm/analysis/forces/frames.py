@@ -8,12 +8,13 @@ import torch
 import xarray as xr
 
 from swarmssm import forces
+from swarmssm.analysis.inferred_graph import step_inputs
 from swarmssm.analysis.intervals import QUANTILES
 from swarmssm.analysis.motion import PosteriorPaths
 from swarmssm.errors import InputError
 from swarmssm.graphs import dense
 from swarmssm.inference import Fit
-from swarmssm.models import StateSpaceModel, StepInputs
+from swarmssm.models import StateSpaceModel
 from swarmssm.models.transitions.perception import sight
 
 __all__ = [
@@ -104,7 +105,7 @@ def seen_graph(fit: Fit, frames: Frames) -> torch.Tensor:
         scaled = scaler.transform_tensor(frames.states)
         scaled = scaled.masked_fill(~frames.present.unsqueeze(-1), 0.0)
         with fit.given(frames.values):
-            inputs = model.edges.complete(scaled, StepInputs(graph, None, frames.present))
+            inputs = model.edges.complete(scaled, step_inputs(model, graph, frames.present))
             if inputs.adjacency is None:
                 return torch.zeros_like(graph)
             graph = dense(inputs.adjacency, scaled.dtype).to(scaled.dtype)

@@ -3,9 +3,10 @@
 import pyro
 import torch
 
+from swarmssm.analysis.inferred_graph import step_inputs
 from swarmssm.analysis.motion import Motion, Values
 from swarmssm.inference import Fit
-from swarmssm.models import StateSpaceModel, StepInputs
+from swarmssm.models import StateSpaceModel
 from swarmssm.models.transitions import KinematicTransition
 
 __all__ = ["acceleration_jacobian", "has_closed_form"]
@@ -88,7 +89,7 @@ def _linearized(
         torch.get_default_dtype(),
     )
     scaled = scaled.to(dtype)
-    inputs = StepInputs(adjacency.to(dtype), None, present)
+    inputs = step_inputs(model, adjacency.to(dtype), present)
     with torch.no_grad(), fit.given(values), pyro.validation_enabled(False):
         inputs = model.edges.complete(scaled, inputs)
         following = model.transition.linearize_velocity(scaled, inputs).jacobian.to(states.dtype)

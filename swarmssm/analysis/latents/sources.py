@@ -10,13 +10,14 @@ import torch
 import xarray as xr
 
 from swarmssm import forces
+from swarmssm.analysis.inferred_graph import law_graph, step_inputs
 from swarmssm.analysis.motion import motion_of
 from swarmssm.errors import InputError
 from swarmssm.inference import Fit
 from swarmssm.inference.guides import PathGuide
 from swarmssm.inference.prediction import StateSpacePredictor, seeded
 from swarmssm.inference.run_folder import Builders, build_modules
-from swarmssm.models import StateSpaceModel, StepInputs
+from swarmssm.models import StateSpaceModel
 from swarmssm.tracks import SPACE_NAMES, Array, states_of, stepwise_velocity, with_trials
 
 __all__ = ["View", "forces_on", "latents_of", "untrained"]
@@ -200,7 +201,7 @@ class View:
             names = [f"state {place + 1}" for place in range(model.state_dim)]
             parts = [(path.masked_fill(gone, torch.nan).numpy(), names, "state")]
         transition = model.transition
-        adjacency = self.prepared.adjacency
+        adjacency = law_graph(fit, self.prepared)
         if kinematic and len(getattr(transition, "terms", [])):
             motion = motion_of(fit)
             still = torch.from_numpy(np.nan_to_num(self.states))
@@ -221,7 +222,8 @@ class View:
         transition, gone = model.transition, ~present.unsqueeze(-1)
         axes = SPACE_NAMES[: self.space]
         values = guide.parameters_guide.median() if isinstance(guide, PathGuide) else {}
-        given = StepInputs(self.prepared.adjacency.to(scaled.dtype), None, present)
+        graph = law_graph(self.fit, self.prepared).to(scaled.dtype)
+        given = step_inputs(model, graph, present)
         found = []
         with self.fit.given(values), torch.no_grad(), pyro.validation_enabled(False):
             given = model.edges.complete(scaled, given)
@@ -292,7 +294,7 @@ class View:
         states = torch.from_numpy(self.states)
         present = states.isfinite().all(-1)
         gone = ~present.unsqueeze(-1)
-        graph = self.prepared.adjacency.to(torch.float64)
+        graph = law_graph(self.fit, self.prepared).to(torch.float64)
         with torch.no_grad():
             found = motion.acceleration(states.masked_fill(gone, 0.0), graph, present)
         return found.masked_fill(gone, torch.nan).numpy()

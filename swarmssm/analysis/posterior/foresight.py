@@ -15,6 +15,7 @@ import torch
 import xarray as xr
 from torch import Tensor
 
+from swarmssm.analysis.inferred_graph import has_inferred_edges
 from swarmssm.analysis.posterior.draw_filter import Foreseen, filter_draws
 from swarmssm.analysis.subject import subject_of
 from swarmssm.errors import InputError
@@ -160,6 +161,9 @@ def _drawn_by(fit: Fit) -> bool:
     model = fit.model
     if not isinstance(model, StateSpaceModel) or not priors_of(model):
         return False
+    if has_inferred_edges(model):
+        # Draws of edges come with the parameters under which they were drawn.
+        return False
     return getattr(fit.guide, "parameters_guide", None) is not None and (
         model.emission is None or _is_filtered(fit)
     )
@@ -171,6 +175,7 @@ def _is_filtered(fit: Fit) -> bool:
         isinstance(fit.model, StateSpaceModel)
         and fit.model.emission is not None
         and isinstance(fit.guide, LinearizedGuide)
+        and not has_inferred_edges(fit.model)
     )
 
 
@@ -186,7 +191,7 @@ def _of_kernels(
 ) -> tuple[str, Foreseen]:
     """Average over sampled beginnings what the transition expects next."""
     model: Any = fit.model
-    exact = model.emission is None
+    exact = model.emission is None and not has_inferred_edges(model)
     predictor = fit.predictor()
     trials, times, individuals = prepared.mask.shape
     count = draws if exact else LATENTS

@@ -40,7 +40,8 @@ class NeuralRelationalInference(RelationalBaseline):
     The original: windows of 49 frames, encoder and decoder 256 wide, 500 epochs of Adam with 5e-4
     halved every 200, batches of 128, output variance 5e-5 of data scaled to [-1, 1], temperature
     0.5, errors over 10 steps, two types without a fixed one for no edge. Here 64 wide, Adam with
-    2e-3 on a cosine, type 0 sends no message, layer in place of batch normalisation; windows are
+    2e-3 on a cosine, type 0 sends no message, layer in place of batch normalisation; the encoder is
+    also told the changes from frame to frame, whose weights begin at 0; windows are
     shortened now and then, so that short histories have edges, too; and of the 48 steps of a window
     only some are decoded in each batch, over 1, 5 or 10 steps.
 

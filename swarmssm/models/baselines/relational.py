@@ -51,9 +51,7 @@ class RelationalBaseline(NeuralBaseline):
     hidden
         Width of encoder and decoder.
     changes
-        Whether the encoder is also given what each state changed by since the frame before. Told
-        the true edges it then learns them faster; finding them by itself on springs, it settled on
-        one type for all pairs, so that it is off.
+        Whether the encoder is also given what each state changed by since the frame before.
     relative
         Whether the encoder is also given relative positions and velocities of each pair.
     """
@@ -67,7 +65,7 @@ class RelationalBaseline(NeuralBaseline):
     stretches: ClassVar[tuple[int, ...]] = (1, 5, 10)
     decoded: ClassVar[int] = 10
     hidden: ClassVar[int] = 64
-    changes: ClassVar[bool] = False
+    changes: ClassVar[bool] = True
     relative: ClassVar[bool] = False
     pairwise: ClassVar[bool] = True
     rows: ClassVar[int] = 640

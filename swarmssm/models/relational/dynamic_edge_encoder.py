@@ -7,6 +7,7 @@ from torch import Tensor, nn
 
 from swarmssm.errors import InputError
 from swarmssm.models.relational.motion_features import (
+    begin_without_changes,
     individual_features,
     num_individual_features,
     num_relative_features,
@@ -88,6 +89,8 @@ class DynamicEdgeEncoder(nn.Module):
         of_each = num_individual_features(features, change is not None)
         self.embedding = PairEmbedding(of_each, hidden, of_pair)
         self.register_buffer("change", change)
+        if change is not None:
+            begin_without_changes(self.embedding.node.first, features)
         self.forward_rnn = nn.LSTM(hidden, recurrent, batch_first=True)
         self.backward_rnn = nn.LSTM(hidden, recurrent, batch_first=True)
         self.prior = _head(recurrent, head, num_types)

@@ -5,6 +5,7 @@ from torch import Tensor, nn
 
 from swarmssm.errors import InputError
 from swarmssm.models.relational.motion_features import (
+    begin_without_changes,
     individual_features,
     num_individual_features,
     num_relative_features,
@@ -37,7 +38,8 @@ class EdgeEncoder(nn.Module):
     change
         Typical change of each feature in a frame, ``(feature,)``. With it the encoder is also given
         the changes from frame to frame in these units, in which accelerations stand out; the paper
-        leaves them to the network.
+        leaves them to the network. Their weights begin at 0: an encoder that listens to them from
+        the start is apt to call all pairs the same before the decoder has learned anything.
     relative
         Whether each pair's relative positions and velocities, distance and relative speed are
         given, too. The paper leaves their discovery to the network.
@@ -68,6 +70,8 @@ class EdgeEncoder(nn.Module):
         self.embedding = PairEmbedding(of_each, hidden, of_pair)
         self.register_buffer("change", change)
         self.out = nn.Linear(hidden, num_types)
+        if change is not None:
+            begin_without_changes(self.embedding.node.first, features)
 
     def forward(self, states: Tensor, present: Tensor | None = None) -> Tensor:
         """Return the logits of each pair's type.

@@ -1,9 +1,10 @@
 """What an encoder of edges is given: states, how they change, and how two move to each other."""
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 __all__ = [
+    "begin_without_changes",
     "individual_features",
     "num_individual_features",
     "num_relative_features",
@@ -46,6 +47,14 @@ def individual_features(
     earlier = torch.cat([first.unsqueeze(1), marked[:, :-1]], dim=1)
     moved = (states - earlier[..., :-1]) / change * (mark * earlier[..., -1:])
     return torch.cat([states, moved, mark], dim=-1)
+
+
+def begin_without_changes(layer: nn.Linear, features: int) -> None:
+    """Set the weights of the changes to 0 in a layer on the features of one or more frames."""
+    changes = torch.zeros(num_individual_features(features, True), dtype=torch.bool)
+    changes[features : 2 * features] = True
+    with torch.no_grad():
+        layer.weight[:, changes.repeat(layer.in_features // len(changes))] = 0.0
 
 
 def num_relative_features(features: int) -> int:
