@@ -23,6 +23,7 @@ from swarmssm.analysis.forces import (
     true_forces,
 )
 from swarmssm.analysis.forecast_fans import forecast_fan
+from swarmssm.analysis.inferred_edges import inferred_edges
 from swarmssm.analysis.influence import find_leader, find_loners, leadership_delays
 from swarmssm.analysis.kernels import interaction_kernels, kernel_agreement, true_kernels
 from swarmssm.analysis.latents import latent_force_alignment
@@ -88,6 +89,7 @@ __all__ = [
     "full_section",
     "gathered_page",
     "horizon_table",
+    "inferred_edges",
     "interaction_kernels",
     "kernel_agreement",
     "latent_force_alignment",

@@ -18,6 +18,9 @@ from swarmssm.analysis.forces.maps import sentence as maps_sentence
 from swarmssm.analysis.forces.posterior import TERMS, force_summary, posterior_forces
 from swarmssm.analysis.forces.posterior import sentence as forces_sentence
 from swarmssm.analysis.forces.truth import force_agreement, true_forces
+from swarmssm.analysis.inferred_edges import inferred_edges
+from swarmssm.analysis.inferred_edges import sentence as edges_sentence
+from swarmssm.analysis.inferred_graph import has_inferred_edges
 from swarmssm.analysis.influence.leaders import find_leader, find_loners
 from swarmssm.analysis.influence.posterior import influence
 from swarmssm.analysis.influence.posterior import sentence as influence_sentence
@@ -48,6 +51,7 @@ TITLES = {
     "force_maps": "force maps",
     "latents": "latents against forces",
     "influence": "influence",
+    "edges": "inferred edges",
     "scores": "held-out scores",
     "parameters": "parameters",
 }
@@ -66,6 +70,7 @@ SENTENCES: dict[str, Callable[[xr.Dataset], str]] = {
     "force_maps": maps_sentence,
     "latents": latents_sentence,
     "influence": influence_sentence,
+    "edges": edges_sentence,
     "scores": scores_sentence,
 }
 #: Decided here for all of them; the draws of forecasts are others than those of paths.
@@ -156,6 +161,9 @@ def analyze(
         notes += more
     if not found:
         raise refused[0]
+    if has_inferred_edges(fit.model):
+        show("edges")
+        found["edges"] = inferred_edges(fit, tracks)
     if rivals is not None:
         show("scores")
         found["scores"] = backtest(_named(fit, rivals), whole, seed=seed, **given.get("scores", {}))

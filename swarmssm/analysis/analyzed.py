@@ -14,7 +14,7 @@ __all__ = ["ANALYSES", "FORMAT", "Analysis"]
 #: The questions to one fit, in the order in which they are asked and told.
 ANALYSES = ("forces", "kernels", "force_maps", "latents", "influence")
 #: What stands beside the answers.
-BESIDE = ("scores", "parameters")
+BESIDE = ("edges", "scores", "parameters")
 #: Stands at the root of a file of an analysis.
 FORMAT = "swarmssm analysis 1"
 
@@ -46,6 +46,8 @@ class Analysis:
         Of :func:`swarmssm.analysis.influence.influence`, with ``leader_alarm``, ``leads`` and
         ``loner (individual)`` of :mod:`swarmssm.analysis.influence.leaders`, decided at the rate
         ``attrs["leader_rate"]``.
+    edges
+        Of :func:`swarmssm.analysis.inferred_edges.inferred_edges`, of a model that infers them.
     scores
         Of :func:`swarmssm.analysis.scores.backtest`: forecasts of held-out frames by the fit and
         its rivals.
@@ -65,6 +67,7 @@ class Analysis:
     force_maps: xr.Dataset | None = None
     latents: xr.Dataset | None = None
     influence: xr.Dataset | None = None
+    edges: xr.Dataset | None = None
     scores: xr.Dataset | None = None
     parameters: xr.Dataset | None = None
     sentences: dict[str, str] = field(default_factory=dict)

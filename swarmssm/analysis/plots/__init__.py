@@ -27,6 +27,7 @@ from swarmssm.analysis.plots.forces import (
 from swarmssm.analysis.plots.forecasts import plot_forecast, plot_forecast_over_time
 from swarmssm.analysis.plots.gathered import plot_gathered_shares, plot_log_scores
 from swarmssm.analysis.plots.graphs import plot_edge_accuracy, plot_graphs
+from swarmssm.analysis.plots.inferred_edges import plot_edge_probabilities
 from swarmssm.analysis.plots.influence import (
     plot_influence,
     plot_influence_matrix,
@@ -61,6 +62,7 @@ __all__ = [
     "plot_coverage",
     "plot_ecdf_difference",
     "plot_edge_accuracy",
+    "plot_edge_probabilities",
     "plot_effort",
     "plot_force_arrows",
     "plot_force_magnitudes",

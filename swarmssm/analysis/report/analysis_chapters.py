@@ -13,6 +13,7 @@ from swarmssm.analysis.plots import forces as force_plots
 from swarmssm.analysis.plots import influence as influence_plots
 from swarmssm.analysis.plots import latents as latent_plots
 from swarmssm.analysis.plots.gathered import plot_log_scores
+from swarmssm.analysis.plots.inferred_edges import plot_edge_probabilities
 from swarmssm.analysis.report import analysis_sentences as sentences
 from swarmssm.analysis.report.blocks import Block, Chapter, Notes, Picture, Table, Text
 from swarmssm.analysis.report.embed import house_style
@@ -35,6 +36,7 @@ HEADINGS = {
     "force_maps": "What goes with a neighbour's place",
     "latents": "What the latents carry",
     "influence": "Who moves whom",
+    "edges": "Who acts on whom",
     "scores": "Held-out scores",
 }
 FINDINGS = (
@@ -61,6 +63,7 @@ def analysis_chapters(analysis: Analysis, anchor: str = "") -> list[Chapter]:
         "force_maps": _of_maps,
         "latents": _of_latents,
         "influence": _of_influence,
+        "edges": _of_edges,
         "scores": _of_scores,
     }
     chapters = []
@@ -192,6 +195,10 @@ def _network_and_matrix(found: xr.Dataset) -> list[Figure]:
         influence_plots.plot_influence_network(found)[0],
         influence_plots.plot_influence_matrix(found)[0],
     ]
+
+
+def _of_edges(found: xr.Dataset, text: str) -> list[Drawing]:
+    return [("Inferred edges", text, lambda: [plot_edge_probabilities(found)[0]])]
 
 
 def _of_scores(found: xr.Dataset, text: str) -> list[Drawing]:
