@@ -134,7 +134,7 @@ OWN: dict[str, OwnMethod] = {
                 "tails": "gaussian",
                 "weight_prior": None,
             },
-            exact_settings={"window": 10, "batch_windows": 32, "lr": 0.02, "epochs": 48},
+            exact_settings={"window": 10, "batch_windows": 32, "lr": 0.02, "epochs": 80},
             # Where the test part lies elsewhere in the tank, places say nothing.
             noisy={"positions": False},
             noisy_settings={"epochs": 300},
