@@ -48,8 +48,8 @@ Priors = Annotated[
     typer.Option(
         "--prior",
         metavar="NAME=DIST(ARGS)",
-        help="Prior of a named parameter, for instance cohesion_gain=LogNormal(-1,0.5); "
-        "repeatable.",
+        help="Prior of a named parameter, for instance cohesion_gain=LogNormal(-1,0.5), or the "
+        "number at which to hold it; repeatable.",
     ),
 ]
 ConstructorOptions = Annotated[

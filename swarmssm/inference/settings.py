@@ -39,7 +39,7 @@ class FitSettings(pydantic.BaseModel):
         Named arguments of their constructors: values that JSON can hold.
     priors
         Priors in place of the model's own: name of a parameter -> text such as
-        ``"LogNormal(-1, 0.5)"``, see :func:`swarmssm.models.priors.with_priors`.
+        ``"LogNormal(-1, 0.5)"``, or a number at which it is held, see :func:`swarmssm.models.priors.with_priors`.
     edges
         ``"auto"``, the model's own; or those that take their place: ``"relational"``,
         ``"dynamic-relational"``, ``"observed"``, or a rule such as ``"radius:2.5"``, see
@@ -101,7 +101,7 @@ class FitSettings(pydantic.BaseModel):
     model_options: Options = {}
     guide: str = "auto"
     guide_options: Options = {}
-    priors: dict[str, str] = {}
+    priors: dict[str, str | float | list[Any]] = {}
     edges: str = "auto"
     edge_types: pydantic.PositiveInt | None = None
     edge_options: Options = {}

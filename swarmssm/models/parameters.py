@@ -136,6 +136,19 @@ def _checked(name: str, value: Any, own: Declaration) -> Any:
         if isinstance(value.init_value, torch.Tensor):
             _check_value(name, value.init_value.detach(), own)
         return value
+    return check_fixed(name, value, own)
+
+
+def check_fixed(name: str, value: Any, own: Declaration) -> torch.Tensor:
+    """Return a number, list, array or tensor as a fixed value of a parameter, or refuse it.
+
+    Raises
+    ------
+    TypeError
+        If it is something else.
+    InputError
+        If the parameter cannot have the value or the shape.
+    """
     tensor = _as_tensor(name, value)
     _check_value(name, tensor, own)
     return tensor

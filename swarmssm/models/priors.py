@@ -1,5 +1,6 @@
 """Priors on any parameter of a model that stands already, by name."""
 
+import json
 from collections import OrderedDict
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -11,7 +12,14 @@ from torch import nn
 from torch.distributions import constraints
 
 from swarmssm.errors import InputError
-from swarmssm.models.parameters import Declaration, adopt, check_prior, declaration
+from swarmssm.models.parameters import (
+    Declaration,
+    adopt,
+    assign,
+    check_fixed,
+    check_prior,
+    declaration,
+)
 from swarmssm.models.prior_text import EXAMPLE, PRIORS, parse_distribution
 from swarmssm.models.simulation import seeded
 from swarmssm.models.supports import usual_constraint
@@ -51,18 +59,19 @@ def parameters_of(model: nn.Module) -> dict[str, Parameter]:
 
 
 def with_priors(model: PyroModule, priors: Mapping[str, Any]) -> PyroModule:
-    """Put priors on parameters of a model.
+    """Put priors on parameters of a model, or hold them where they are known.
 
     Parameters
     ----------
     model
         Changed in place, and returned. Make guides afterwards.
     priors
-        Name -> distribution of Pyro's or its text (:func:`parse_distribution`). A name is a full
+        Name -> distribution of Pyro's or its text (:func:`parse_distribution`); or a number, a
+        list, or their text, at which the parameter is held. A name is a full
         one such as ``transition.cohesion_gain``, or as much of its end as no other shares,
         ``cohesion_gain``; weights of a network have the names of their layers,
         ``transition.network.0.weight``. A distribution of one number stands for independent ones
-        in the shape of the parameter.
+        in the shape of the parameter, one number for as many.
 
     Raises
     ------
@@ -77,11 +86,17 @@ def with_priors(model: PyroModule, priors: Mapping[str, Any]) -> PyroModule:
         )
     known = parameters_of(model)
     ready: dict[str, Any] = {}
+    held: dict[str, torch.Tensor] = {}
     for name, given in priors.items():
         full = _full_name(name, known)
-        if full in ready:
+        if full in ready or full in held:
             raise InputError(f"prior: {full} is given twice, the second time as {name}.")
+        module, attribute = known[full]
         try:
+            given = _number(given)
+            if isinstance(given, int | float | list | torch.Tensor):
+                held[full] = _held(full, given, module, attribute, model)
+                continue
             prior = parse_distribution(given) if isinstance(given, str) else given
         except InputError as error:
             raise InputError(f"{name}: {error}") from error
@@ -90,11 +105,13 @@ def with_priors(model: PyroModule, priors: Mapping[str, Any]) -> PyroModule:
                 f"prior: that of {full} must be a distribution from pyro.distributions or its "
                 f"text, not {type(given).__name__}. {EXAMPLE}"
             )
-        module, attribute = known[full]
         ready[full] = _fitted(full, prior, module, attribute, model)
-    for full in ready:
+    for full in (*ready, *held):
         _join_pyro(model, full)
     adopt(model)
+    for full, value in held.items():
+        module, attribute = known[full]
+        assign(module, attribute, value)
     for full, prior in ready.items():
         module, attribute = known[full]
         for table in (module._parameters, module._buffers):
@@ -138,6 +155,33 @@ def _full_name(name: str, known: Mapping[str, Parameter]) -> str:
         raise InputError(f"prior: {name} may be any of {', '.join(ends)}. Give the full name.")
     there = ", ".join(known) if known else "none"
     raise InputError(f"prior: the model has no parameter {name!r}. Those there are: {there}.")
+
+
+def _number(given: Any) -> Any:
+    """Return the number or the list that a text is, and everything else as it stands."""
+    if not isinstance(given, str):
+        return given
+    try:
+        value = json.loads(given)
+    except json.JSONDecodeError:
+        return given
+    return value if isinstance(value, int | float | list) else given
+
+
+def _held(full: str, given: Any, module: Any, attribute: str, model: PyroModule) -> torch.Tensor:
+    """Return the value at which a parameter is held, or refuse it."""
+    own = declaration(module, attribute)
+    shape, present = _present(module, attribute, model)
+    if own.constraint is constraints.real:
+        own = own._replace(constraint=present)
+    if own.shapes is None and shape:
+        own = Declaration(own.constraint, (tuple(shape),))
+    try:
+        value = check_fixed(full, given, Declaration(own.constraint))
+        value = value.expand(shape).clone() if not value.dim() else value
+        return check_fixed(full, value, own)
+    except TypeError as error:
+        raise InputError(f"prior: {error}") from error
 
 
 def _fitted(

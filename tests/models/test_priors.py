@@ -216,6 +216,36 @@ def score(model, batch, values, path):
 
 
 @pytest.mark.parametrize("ran_before", [False, True])
+def test_numbers_hold_a_parameter(ran_before):
+    model = build()
+    batch = model.simulate(4, 3, num_windows=2, seed=0).batch()
+    if ran_before:
+        model(batch)
+    held = {
+        "gain": 2,
+        "transition.noise": "0.7",
+        "push": [1.0, -1.0],
+        "reach": "3.0",
+        "network.0.bias": 0.25,
+        "network.2.weight": torch.ones(2, 8),
+    }
+    with_priors(model, held)
+    assert priors_of(model) == []
+    trace = pyro.poutine.trace(model).get_trace(batch)
+    assert "transition.push" not in trace.stochastic_nodes
+    law = model.transition
+    assert (float(law.gain), float(law.reach)) == (2.0, 3.0)
+    assert float(law.noise) == pytest.approx(0.7)
+    assert law.push.tolist() == [1.0, -1.0]
+    assert law.network[0].bias.tolist() == [0.25] * 8
+    learned = {name for name, value in model.named_parameters() if value.requires_grad}
+    assert learned == {"transition.network.0.weight"}
+    # What is held may be let go again.
+    with_priors(model, {"gain": "Normal(0, 1)"})
+    assert priors_of(model) == ["transition.gain"]
+
+
+@pytest.mark.parametrize("ran_before", [False, True])
 def test_priors_are_put_on_any_parameter(ran_before):
     """Given the values that it had, the model differs by the density of the priors alone."""
     model, twin = build(), build()
@@ -334,7 +364,11 @@ def test_weights_with_a_prior_are_learned_by_an_automatic_guide():
         ),
         ({"push": "Normal([0, 0, 0], 1)"}, r"must be \(2,\) in shape, and it is \(3,\)"),
         ({"network.2.weight": "Normal([0, 0], 1)"}, r"\(2, 8\) in shape, and it is \(2,\)"),
-        ({"gain": 3.0}, "transition.gain must be a distribution .* not float"),
+        ({"gain": True}, "transition.gain must be a number, a distribution .* not bool"),
+        ({"gain": object()}, "transition.gain must be a distribution .* not object"),
+        ({"emission.noise": -1.0}, r"emission.noise: it must be positive, and it is -1"),
+        ({"push": [0.0, 0.0, 0.0]}, r"must be \(2,\) in shape, and it is \(3,\)"),
+        ({"push": "[1, [2]]"}, "push must be a number"),
         ({"gain": dist.Poisson(3.0)}, "may be whole numbers"),
         ({"gain": "Normal(0)"}, "lacks scale"),
         (
