@@ -39,7 +39,8 @@ class FitSettings(pydantic.BaseModel):
         Named arguments of their constructors: values that JSON can hold.
     priors
         Priors in place of the model's own: name of a parameter -> text such as
-        ``"LogNormal(-1, 0.5)"``, or a number at which it is held, see :func:`swarmssm.models.priors.with_priors`.
+        ``"LogNormal(-1, 0.5)"``, or a number at which it is held, see
+        :func:`swarmssm.models.priors.with_priors`.
     edges
         ``"auto"``, the model's own; or those that take their place: ``"relational"``,
         ``"dynamic-relational"``, ``"observed"``, or a rule such as ``"radius:2.5"``, see
