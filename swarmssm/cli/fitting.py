@@ -17,7 +17,7 @@ from swarmssm.cli.options import (
     fit_settings,
 )
 from swarmssm.cli.progress import training_progress
-from swarmssm.errors import WorkError
+from swarmssm.errors import InputError, WorkError
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["fit"]
 
 #: Ready-made models that infer tracking noise unless told otherwise.
+RELATIONAL = ("relational", "dynamic-relational")
 NOISY = ("boids", "kernel", "graph-ssm", "linear")
 
 
@@ -82,6 +83,14 @@ def fit(
             help="Of relational edges, for instance sparsity=0.8; repeatable.",
         ),
     ] = None,
+    law: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="RUN",
+            help="Hold the law of motion that this run of the same model found, and learn the "
+            "edges alone; goes with relational --edges.",
+        ),
+    ] = None,
     velocity: Annotated[str, typer.Option(help="auto, difference or kalman.")] = "auto",
     scaler: Annotated[
         str, typer.Option(help="auto (the model's own), minmax, isotropic or none.")
@@ -122,6 +131,8 @@ def fit(
     for name, value in (("window", window), ("batch_windows", batch_windows)):
         if value is not None:
             given[name] = value or None
+    if law is not None:
+        _hold(law, model, edges, given)
     tracks = io.read(file)
     _warn_of_exact_tracks(file, tracks, model, given.get("model_options") or {})
     try:
@@ -179,3 +190,28 @@ def _print_fit(fitted: "Fit") -> None:
         columns = ("parameter", "mean", "sd", "5 %", "95 %")
         posterior = summary.reset_index().to_numpy().tolist()
         print_table("posterior, with 90 % intervals", columns, posterior)
+
+
+def _hold(law: Path, model: str, edges: str, given: dict[str, Any]) -> None:
+    """Put the law of motion of a run into the settings of a fit."""
+    from swarmssm.inference import Fit, held_law
+
+    if edges not in RELATIONAL:
+        raise InputError(
+            "--law: it holds all but the edges, which are then to be inferred; add "
+            f"--edges {' or '.join(RELATIONAL)}."
+        )
+    found = Fit.load(law)
+    if found.settings.model != model:
+        raise InputError(
+            f"--law: {law} is a run of {found.settings.model}; choose --model "
+            f"{found.settings.model}, or a run of {model}."
+        )
+    given["model_options"] = {**found.settings.model_options, **given["model_options"]}
+    own = given["priors"]
+    held = {
+        full: value
+        for full, value in held_law(found).items()
+        if not any(full == name or full.endswith(f".{name}") for name in own)
+    }
+    given["priors"] = {**held, **own}
