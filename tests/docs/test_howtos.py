@@ -25,6 +25,7 @@ WITHOUT = (
     "which-rule-do-my-fish-follow",
     "checking-a-fitted-swarm",
     "comparing-models",
+    "who-acts-on-whom",
 )
 #: Pages without anything to run: what was found in recordings that are not part of the package.
 REPORTS = ("which-rule-each-species-follows",)
@@ -73,6 +74,12 @@ LESS = {
         "--draws 200": "--draws 100",
         "--draws 400": "--draws 100",
         ", draws=200": ", draws=100",
+    },
+    "who-acts-on-whom": {
+        "--steps 300": "--steps 40",
+        "--steps 250": "--steps 3",
+        "--origins 16 --draws 40": "--origins 4 --draws 12",
+        "--draws 5": "--draws 2",
     },
     "which-rule-do-my-fish-follow": {
         "slice(0, 100)": "slice(0, 40)",
@@ -197,7 +204,7 @@ def inside(monkeypatch, capsys, tmp_path):
 
 
 #: How-tos that take long even with less.
-LONG = ("comparing-methods",)
+LONG = ("comparing-methods", "comparing-models", "who-acts-on-whom")
 
 
 @pytest.mark.parametrize(

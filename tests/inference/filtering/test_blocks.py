@@ -7,7 +7,12 @@ import pytest
 import torch
 
 from swarmssm.graphs import EdgeList
-from swarmssm.inference.filtering import collapsed_evidence, linearization_points
+from swarmssm.inference.filtering import (
+    collapsed_evidence,
+    evidence,
+    layouts,
+    linearization_points,
+)
 from swarmssm.inference.filtering.blocks import color_graph, linearize_own
 from swarmssm.models import InitialStates, PositionEmission, StateSpaceModel, SwarmBatch
 from swarmssm.models.transitions.boids import BoidsTransition
@@ -96,8 +101,10 @@ def test_its_error_at_ten_individuals_is_small(method, each):
     assert ((blocks - joint).abs() < each * 10 * 40 * 2).all()
 
 
-def test_large_swarms_take_it_by_themselves_on_graphs_of_either_kind():
-    batch, model = swarm(31, 3), boids()
+def test_large_swarms_take_it_by_themselves_on_graphs_of_either_kind(monkeypatch):
+    for module in (layouts, evidence):
+        monkeypatch.setattr(module, "JOINT_LIMIT", 5)
+    batch, model = swarm(6, 3), boids()
     for method in ("extended", "iterated"):
         found = collapsed_evidence(model, batch, method=method)
         given = collapsed_evidence(model, batch, method=method, layout="blocks")
