@@ -90,9 +90,10 @@ def sentence(found: xr.Dataset) -> str:
         for kind in found["edge_type"].values
     )
     certainty, chance = float(found["certainty"]), 1.0 / found.sizes["edge_type"]
-    sure = "hardly more than by chance" if certainty < chance + 0.5 * (1.0 - chance) else "mostly"
+    share = (certainty - chance) / (1.0 - chance)
+    sure = "hardly" if share < 0.2 else "somewhat" if share < 0.6 else "mostly"
     text = (
-        f"Of pairs in a frame, by mean probability: {shares}. The model is sure of a type {sure} "
+        f"Of pairs in a frame, by mean probability: {shares}. The model is {sure} sure of the type "
         f"(mean probability of the likeliest {certainty:.2f}, by chance {chance:.2f})."
     )
     nearness = float(found["nearness_auc"])

@@ -103,7 +103,7 @@ def test_everything_can_be_asked_of_it(fit, flock):
     found = analyze(fit, short, draws=1, only=asked)
     assert set(found.datasets) >= {*asked, "edges"}
     assert "Edges tell the nearer half of the pairs with an AUC of " in found.sentences["edges"]
-    assert "Who acts on whom" in analysis_page(found, fit, short)
+    assert "How likely an edge is" in analysis_page(found, fit, short)
     data = to_inference_data(fit, short, draws=2)
     density = data["log_likelihood"]["position"].to_numpy()
     # Nothing foresees the first frame of exactly observed states.

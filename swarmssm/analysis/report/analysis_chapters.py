@@ -36,7 +36,7 @@ HEADINGS = {
     "force_maps": "What goes with a neighbour's place",
     "latents": "What the latents carry",
     "influence": "Who moves whom",
-    "edges": "Who acts on whom",
+    "edges": "Inferred edges",
     "scores": "Held-out scores",
 }
 FINDINGS = (
@@ -198,7 +198,7 @@ def _network_and_matrix(found: xr.Dataset) -> list[Figure]:
 
 
 def _of_edges(found: xr.Dataset, text: str) -> list[Drawing]:
-    return [("Inferred edges", text, lambda: [plot_edge_probabilities(found)[0]])]
+    return [("How likely an edge is", text, lambda: [plot_edge_probabilities(found)[0]])]
 
 
 def _of_scores(found: xr.Dataset, text: str) -> list[Drawing]:
