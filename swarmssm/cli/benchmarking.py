@@ -52,8 +52,10 @@ def benchmark(
     budget: Annotated[
         str,
         typer.Option(help="Processor time for each method to learn in: 90s, 2m, 1h; or none."),
-    ] = "2m",
-    jobs: Annotated[int, typer.Option(help="Methods at a time.", min=1)] = 1,
+    ] = "150s",
+    jobs: Annotated[
+        int | None, typer.Option(help="Methods at a time. Default: one for each core.", min=1)
+    ] = None,
     seeds: Annotated[
         int, typer.Option(help="Repetitions with other weights, of methods that draw.", min=1)
     ] = 1,
@@ -129,7 +131,7 @@ def benchmark(
             wanted,
             folder,
             seconds=seconds,
-            processes=jobs,
+            processes=jobs or _cores(),
             progress=lambda done, total, _: show(done, total),
         )
     results = collect(task, parts)
@@ -184,3 +186,10 @@ def _tracks(file: Path | None, dataset: str | None, data: Path | None) -> tuple[
     folder = data or Path(os.environ.get(FOLDER, "../shared/data"))
     tracks = load_dataset(dataset, folder)
     return tracks, f"{dataset}: {DATASETS[dataset].title}"
+
+
+def _cores() -> int:
+    """Return how many cores this process may run on."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
