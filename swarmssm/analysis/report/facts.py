@@ -10,6 +10,7 @@ from swarmssm.analysis.report.wording import setting_words
 from swarmssm.analysis.table import NOTHING
 from swarmssm.analysis.table import format_number as number
 from swarmssm.inference import Fit
+from swarmssm.models import PositionEmission, StateSpaceModel
 from swarmssm.models.prior_text import distribution_text
 from swarmssm.models.priors import parameters_of
 from swarmssm.summary import summarize
@@ -46,18 +47,17 @@ IN_WORDS = {
     "boids": (
         "A state-space model of positions and velocities. Each individual is pulled towards those "
         "it sees (cohesion), pushed from them (separation), and turned to their velocities "
-        "(alignment), with gains that are inferred, besides walls, speed regulation and noise; "
-        "positions are seen with tracking noise."
+        "(alignment), with gains that are inferred, besides walls, speed regulation and noise."
     ),
     "kernel": (
         "A state-space model of positions and velocities. What a neighbour does to an individual "
         "is a smooth curve of its distance, one for the pull or push and one for alignment, "
-        "besides walls, speed regulation and noise; positions are seen with tracking noise."
+        "besides walls, speed regulation and noise."
     ),
     "graph-ssm": (
         "A state-space model of positions and velocities, whose accelerations a graph network "
         "makes of what each individual sees of the others, alike under rotation, reflection and "
-        "translation unless place matters; positions are seen with tracking noise."
+        "translation unless place matters."
     ),
     "linear": (
         "A state-space model whose next state is a linear function of the present one, plus "
@@ -142,6 +142,7 @@ def model_facts(fit: Fit) -> Facts:
     facts = [
         ("model", _described(settings.model)),
         ("guide", _described(settings.guide)),
+        *_emission_words(fit),
         ("learned numbers", str(fit.num_parameters)),
     ]
     asked: Facts = []
@@ -231,6 +232,18 @@ def scoring_facts(evaluation: Evaluation) -> Facts:
 def _described(name: str) -> str:
     """Return a part's name with what it is, if that is known."""
     return f"{name}. {IN_WORDS[name]}" if name in IN_WORDS else name
+
+
+def _emission_words(fit: Fit) -> Facts:
+    """Return how a state-space model sees the states, if that is known."""
+    model = fit.model
+    if not isinstance(model, StateSpaceModel):
+        return []
+    if model.emission is None:
+        return [("observations", "states, taken to be exact")]
+    if isinstance(model.emission, PositionEmission):
+        return [("observations", "positions, with tracking noise")]
+    return [("observations", type(model.emission).__name__)]
 
 
 def _graph_words(fit: Fit) -> str:
