@@ -58,6 +58,33 @@ class EdgeGuide(Part):
             law = self.posterior(batch)
             return self.edges.put(batch, law.sample() if sample else law.mean)
 
+    def draws(self, batch: SwarmBatch, draws: int) -> tuple[SwarmBatch, EdgeState]:
+        """Draw edges of the same windows several times; the windows are encoded once.
+
+        Parameters
+        ----------
+        batch
+            Windows.
+        draws
+            How many of each; 0, the probabilities of the types.
+
+        Returns
+        -------
+        ``draws`` times the windows, all of one draw after the other; and what is known of edges at
+        their end, with leading dimensions ``(draw, batch)``, or ``(batch,)``.
+        """
+        with torch.no_grad():
+            law = self.posterior(batch)
+            types = law.sample((draws,)) if draws else law.mean
+            last = self.edges.memory(batch, law.mean).memory
+            if draws:
+                batch = batch.select(torch.arange(len(batch)).repeat(draws))
+                if last is not None:
+                    # What recurrences remember is told by what was seen, not by the draws.
+                    last = type(last)(*(part.expand(draws, *part.shape) for part in last))
+            known = EdgeState(types[..., -1, :, :, :], last)
+            return self.edges.put(batch, types.flatten(0, 1) if draws else types), known
+
     def memory(self, batch: SwarmBatch) -> EdgeState:
         """Return what is known of edges at the end of windows that have some."""
         assert batch.edge_types is not None, "the windows have edges"

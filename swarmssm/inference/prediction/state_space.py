@@ -278,10 +278,9 @@ class StateSpacePredictor(Predictor):
         if not isinstance(guide, PathGuide):
             raise InputError("guide: one of inferred edges must be a PathGuide.")
         origins, shape = len(batch), (draws,) * bool(draws)
-        many = batch.select(torch.arange(origins).repeat(max(draws, 1)))
         values = self._draw_parameters(draws)
         with pyro.validation_enabled(False):
-            many = guide.with_edges(many, sample=bool(draws))
+            many, known = guide.edges_guide.draws(batch, draws)
             if self.model.emission is None:
                 states = many.observations[:, -1]
             elif not draws:
@@ -292,7 +291,6 @@ class StateSpacePredictor(Predictor):
                 each = [torch.arange(d * origins, (d + 1) * origins) for d in range(draws)]
                 pairs = zip(each, values, strict=True)
                 states = torch.cat([guide.last_states(many.select(i), (v,))[0] for i, v in pairs])
-            known = guide.edges_guide.memory(many).reshape((*shape, origins))
         states = states.reshape(*shape, origins, *states.shape[1:])
         graph = dense(many.adjacency)[:, -1].reshape(*states.shape[:-1], states.shape[-2])
         start = self._beginning(states, batch.present[:, -1], graph, values)
