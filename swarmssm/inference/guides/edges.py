@@ -84,9 +84,3 @@ class EdgeGuide(Part):
                     last = type(last)(*(part.expand(draws, *part.shape) for part in last))
             known = EdgeState(types[..., -1, :, :, :], last)
             return self.edges.put(batch, types.flatten(0, 1) if draws else types), known
-
-    def memory(self, batch: SwarmBatch) -> EdgeState:
-        """Return what is known of edges at the end of windows that have some."""
-        assert batch.edge_types is not None, "the windows have edges"
-        with torch.no_grad():
-            return self.edges.memory(batch, batch.edge_types)

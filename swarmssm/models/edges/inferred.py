@@ -39,20 +39,6 @@ class EdgeState:
     types: Tensor
     memory: Memory | None = None
 
-    def reshape(self, leading: tuple[int, ...]) -> "EdgeState":
-        """Return the same with other leading dimensions."""
-        types = self.types.reshape(*leading, *self.types.shape[-3:])
-        if self.memory is None:
-            return EdgeState(types)
-        hidden, velocities = self.memory
-        return EdgeState(
-            types,
-            Memory(
-                hidden.reshape(*leading, *hidden.shape[-3:]),
-                velocities.reshape(*leading, *velocities.shape[-2:]),
-            ),
-        )
-
     def __getitem__(self, index: Any) -> "EdgeState":
         """Return a part along the leading dimensions."""
         if self.memory is None:
