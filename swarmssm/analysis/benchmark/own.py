@@ -65,7 +65,7 @@ OWN: dict[str, OwnMethod] = {
             noisy=ANIMALS,
             exact_settings={"lr": 0.02, "window": 15, "batch_windows": 16},
             noisy_settings={"guide": "markov"},
-            edge_settings={"lr": 0.01, "edge_options": {"sparsity": 0.5}},
+            edge_settings={"lr": 0.01, "batch_windows": 8, "edge_options": {"sparsity": 0.5}},
             told=True,
         ),
     )

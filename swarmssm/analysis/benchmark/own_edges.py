@@ -1,6 +1,7 @@
 """A model of this package that is told of no graph, and infers who acts on whom."""
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,8 +15,8 @@ __all__ = ["InferredEdgesMethod"]
 SHARE = 0.35
 #: Processor seconds where no budget is given.
 USUAL = 300.0
-PILOT_STEPS = 10
-FEWEST, MOST = 20, 1000
+PILOT_STEPS = 12
+FEWEST, MOST = 3, 1000
 
 
 @dataclass(frozen=True)
@@ -50,24 +51,37 @@ class InferredEdgesMethod(OwnMethod):
             "seed": seed,
         }
 
-        def spent(**more: Any) -> tuple[Fit, float]:
-            before = time.process_time()
-            found = fit(self.model, tracks=task.tracks, **settings | more)
-            return found, time.process_time() - before
+        def learn(**more: Any) -> Fit:
+            return fit(self.model, tracks=task.tracks, **settings | more)
 
-        first, cost = spent(graph=f"k-nearest:{self.neighbors[0]}", steps=PILOT_STEPS)
+        first = learn(graph=f"k-nearest:{self.neighbors[0]}", steps=FEWEST)
         rules = [f"radius:{length * first.scales.spacing:.3g}" for length in self.spacings]
         rules += [f"k-nearest:{number}" for number in self.neighbors]
         rules = rules if first.scales.spacing else rules[len(self.spacings) :]
-        steps = _affordable(SHARE * budget / len(rules), cost)
-        laws = [spent(graph=rule, steps=steps)[0] for rule in rules]
+        steps = _affordable(SHARE * budget / len(rules), lambda n: learn(graph=rules[-1], steps=n))
+        laws = [learn(graph=rule, steps=steps) for rule in rules]
         best = min(laws, key=lambda law: float(law.history["validation_loss"].min()))
         edges = {"edges": "dynamic-relational", "priors": held_law(best), **self.edge_settings}
-        _, cost = spent(**edges, steps=PILOT_STEPS)
+        pilot = _cost(lambda n: learn(**edges, steps=n))
         left = budget - (time.process_time() - began)
-        return spent(**edges, steps=_affordable(left, cost))[0]
+        return learn(**edges, steps=_steps(left, *pilot))
 
 
-def _affordable(seconds: float, cost: float) -> int:
-    """Return how many steps fit into a time, by what the first ones took."""
-    return int(min(MOST, max(FEWEST, PILOT_STEPS * seconds / max(cost, 1e-6))))
+def _cost(learn: Callable[[int], Fit]) -> tuple[float, float]:
+    """Return the processor time of a fit without steps, and what each step adds."""
+    times = []
+    for steps in (FEWEST, FEWEST + PILOT_STEPS):
+        began = time.process_time()
+        learn(steps)
+        times.append(time.process_time() - began)
+    each = max(1e-4, (times[1] - times[0]) / PILOT_STEPS)
+    return max(0.0, times[0] - FEWEST * each), each
+
+
+def _affordable(seconds: float, learn: Callable[[int], Fit]) -> int:
+    """Return how many steps fit into a time."""
+    return _steps(seconds, *_cost(learn))
+
+
+def _steps(seconds: float, fixed: float, each: float) -> int:
+    return int(min(MOST, max(FEWEST, (seconds - fixed) / each)))
