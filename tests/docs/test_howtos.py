@@ -159,7 +159,10 @@ def check(name, folder, run, less=None):
         found = [(kind, action, text.replace(old, new)) for kind, action, text in found]
     for language, action, text in found:
         if action.startswith("file="):
-            (folder / action.removeprefix("file=")).write_text(text)
+            file = folder / action.removeprefix("file=")
+            file.write_text(text)
+            # Another test may have left a module of this name behind.
+            sys.modules.pop(file.stem, None)
             continue
         if action == "output":
             said = {words_of(line) for line in printed.splitlines()}
