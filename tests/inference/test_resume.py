@@ -143,6 +143,7 @@ def test_a_killed_fit_ends_as_if_nothing_had_happened(place, path, tracks, whole
     assert_same_run(whole, out)
 
 
+@pytest.mark.slow
 def test_killed_while_it_overwrites(place, path, tracks, whole):
     """The old run is there until the new one is finished, and then gone with all traces."""
     out = place / "again"

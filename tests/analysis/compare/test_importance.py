@@ -92,6 +92,7 @@ def test_the_limit_depends_on_the_number_of_draws(draws, limit):
     assert good_k(draws) == pytest.approx(limit, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_leave_one_out_of_a_swarm_is_that_of_the_kalman_filter(whole_fits, flocks):
     fit = whole_fits["aligned"]
     draws = 1000
