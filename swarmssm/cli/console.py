@@ -69,9 +69,6 @@ def _widths(columns: Sequence[Sequence[str]], room: int) -> list[int | None]:
         least[0] = whole[0]
     if sum(whole) <= room or sum(least) > room:
         return [None] * len(columns)
-    if whole[0] + sum(least[1:]) <= room:
-        # What a row is about stays on one line if it can.
-        least[0] = whole[0]
     share = (room - sum(least)) / (sum(whole) - sum(least))
     return [low + int(share * (high - low)) for low, high in zip(least, whole, strict=True)]
 

@@ -26,8 +26,9 @@ if TYPE_CHECKING:
 
 __all__ = ["fit"]
 
-#: Ready-made models that infer tracking noise unless told otherwise.
+#: Edges that are inferred.
 RELATIONAL = ("relational", "dynamic-relational")
+#: Ready-made models that infer tracking noise unless told otherwise.
 NOISY = ("boids", "kernel", "graph-ssm", "linear")
 
 
