@@ -16,11 +16,11 @@ import numpy as np
 import torch
 import xarray as xr
 
-from swarmssm.analysis.compare import compare
+from swarmssm.analysis.scoring.compare import compare
 from swarmssm.inference import Fit, fit
 from swarmssm.models import InitialStates, PositionEmission, Scales, StateSpaceModel
 from swarmssm.models.parameters import assign
-from swarmssm.models.ready import linear
+from swarmssm.models.presets import linear
 from swarmssm.models.transitions import LinearForceTransition
 from swarmssm.tracks import make_tracks
 

@@ -21,8 +21,12 @@ import numpy as np
 import torch
 
 from swarmssm import inference
-from swarmssm.analysis.calibration.synthetic import FixedModel, SyntheticData, standard_scales
-from swarmssm.analysis.scores import backtest
+from swarmssm.analysis.diagnostics.calibration.synthetic import (
+    FixedModel,
+    SyntheticData,
+    standard_scales,
+)
+from swarmssm.analysis.scoring import backtest
 from swarmssm.errors import WorkError
 
 INDIVIDUALS = 8

@@ -19,7 +19,7 @@ import torch
 import xarray as xr
 
 from swarmssm import inference
-from swarmssm.analysis.motion import motion_of, posterior_paths
+from swarmssm.analysis.posterior.accelerations import motion_of, posterior_paths
 from swarmssm.inference import Fit
 from swarmssm.simulate import simulate_boids
 

@@ -20,7 +20,7 @@ import pyro.distributions as dist
 import torch
 import xarray as xr
 
-from swarmssm.analysis.latents.alignment import latent_force_alignment, sentence
+from swarmssm.analysis.interpretation.latents.alignment import latent_force_alignment, sentence
 from swarmssm.inference import Fit, fit
 from swarmssm.models import InitialStates, LatentEdges, PositionEmission, StateSpaceModel
 from swarmssm.models.transitions import BoidsTransition

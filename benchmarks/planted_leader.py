@@ -148,8 +148,8 @@ def one(job: tuple[str, int]) -> dict[str, object]:
 
 def decide(row: dict[str, object], rate: float) -> dict[str, object]:
     """Return what is declared of a swarm: the leader by either rule, and loners."""
-    from swarmssm.analysis.influence.leaders import find_leader, find_loners
-    from swarmssm.analysis.influence.weights import label_weights
+    from swarmssm.analysis.interpretation.influence.leaders import find_leader, find_loners
+    from swarmssm.analysis.interpretation.influence.weights import label_weights
 
     rng = np.random.default_rng(row["seed"])
     drawn = np.exp(rng.multivariate_normal(row["mean"], row["covariance"], SAMPLES))

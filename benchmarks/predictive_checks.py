@@ -27,14 +27,18 @@ import xarray as xr
 from scipy import stats
 
 from swarmssm import inference, simulate
-from swarmssm.analysis.calibration.synthetic import FixedModel, SyntheticData, standard_scales
-from swarmssm.analysis.checks import check, sentence
-from swarmssm.analysis.checks.p_values import judge
+from swarmssm.analysis.diagnostics.calibration.synthetic import (
+    FixedModel,
+    SyntheticData,
+    standard_scales,
+)
+from swarmssm.analysis.diagnostics.checks import check, sentence
+from swarmssm.analysis.diagnostics.checks.p_values import judge
 from swarmssm.inference import Fit
 from swarmssm.inference.data import preparation_for
 from swarmssm.inference.run_folder import Builders, build_modules
 from swarmssm.inference.settings import settings_from
-from swarmssm.splits import split
+from swarmssm.tracks.splits import split
 
 INDIVIDUALS = 8
 LAW = {"walls": False, "limits": False, "relaxation": True, "noise": "additive"}

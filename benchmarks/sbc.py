@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
-from swarmssm.analysis.calibration.many_runs import Counted
-from swarmssm.analysis.calibration.ranks import calibration_sentence
-from swarmssm.analysis.calibration.simulation import simulation_based_calibration
+from swarmssm.analysis.diagnostics.calibration.many_runs import Counted
+from swarmssm.analysis.diagnostics.calibration.ranks import calibration_sentence
+from swarmssm.analysis.diagnostics.calibration.simulation import simulation_based_calibration
 
 PRIORS = {
     "transition.cohesion_gain": "LogNormal(-0.511, 0.5)",

@@ -17,7 +17,7 @@ import torch
 import xarray as xr
 
 from swarmssm import inference, io
-from swarmssm.analysis.scores import backtest, score_table, sentence
+from swarmssm.analysis.scoring import backtest, score_table, sentence
 from swarmssm.datasets import load_dataset
 from swarmssm.inference import Fit
 

@@ -22,12 +22,6 @@ FLOORS = {
     "errors": 1,
     "files": 1,
     "tracks": 1,
-    "kinematics": 1,
-    "splits": 1,
-    "summary": 1,
-    "scaling": 1,
-    "timegrid": 1,
-    "validation": 1,
     "io": 1,
     "datasets": 1,
     "graphs": 1,
@@ -37,8 +31,10 @@ FLOORS = {
     "models": 2,
     "inference": 3,
     "analysis": 4,
-    "cli": 5,
-    "__main__": 5,
+    "baselines": 4,
+    "benchmark": 5,
+    "cli": 6,
+    "__main__": 6,
 }
 # The package itself (`swarmssm/__init__.py`) runs before any of its modules, so it stands lowest.
 LOWEST = 1

@@ -4,16 +4,21 @@ Of several functions of one name - each analysis has a ``sentence`` of its own -
 which is meant.
 """
 
-from swarmssm.analysis.analyze import analyze
-from swarmssm.analysis.analyzed import Analysis
-from swarmssm.analysis.calibration import simulation_based_calibration
-from swarmssm.analysis.checks import STATISTICS, Statistic, Swarm, check, loo_pit, one_step_pit
-from swarmssm.analysis.checks import sentence as check_sentence
-from swarmssm.analysis.compare import compare, comparison_table
-from swarmssm.analysis.evaluate import evaluate
-from swarmssm.analysis.evaluation import Evaluation
-from swarmssm.analysis.findings import Finding, findings, findings_table
-from swarmssm.analysis.forces import (
+from swarmssm.analysis.diagnostics.calibration import simulation_based_calibration
+from swarmssm.analysis.diagnostics.checks import (
+    STATISTICS,
+    Statistic,
+    Swarm,
+    check,
+    loo_pit,
+    one_step_pit,
+)
+from swarmssm.analysis.diagnostics.checks import sentence as check_sentence
+from swarmssm.analysis.diagnostics.recovery import recovery_study
+from swarmssm.analysis.interpretation.analyze import analyze
+from swarmssm.analysis.interpretation.analyzed import Analysis
+from swarmssm.analysis.interpretation.findings import Finding, findings, findings_table
+from swarmssm.analysis.interpretation.forces import (
     force_agreement,
     force_map,
     force_maps,
@@ -22,18 +27,26 @@ from swarmssm.analysis.forces import (
     raw_force_map,
     true_forces,
 )
-from swarmssm.analysis.forecast_fans import forecast_fan
-from swarmssm.analysis.inferred_edges import inferred_edges
-from swarmssm.analysis.influence import find_leader, find_loners, leadership_delays
-from swarmssm.analysis.kernels import interaction_kernels, kernel_agreement, true_kernels
-from swarmssm.analysis.latents import latent_force_alignment
-from swarmssm.analysis.motion import Motion, PosteriorPaths, motion_of, posterior_paths
+from swarmssm.analysis.interpretation.inferred_edges import inferred_edges
+from swarmssm.analysis.interpretation.influence import find_leader, find_loners, leadership_delays
+from swarmssm.analysis.interpretation.kernels import (
+    interaction_kernels,
+    kernel_agreement,
+    true_kernels,
+)
+from swarmssm.analysis.interpretation.latents import latent_force_alignment
+from swarmssm.analysis.plots.scenes import free_run, scenes_of, with_free_run
 from swarmssm.analysis.posterior import (
     pointwise_log_likelihood,
     to_inference_data,
     window_log_likelihood,
 )
-from swarmssm.analysis.recovery import recovery_study
+from swarmssm.analysis.posterior.accelerations import (
+    Motion,
+    PosteriorPaths,
+    motion_of,
+    posterior_paths,
+)
 from swarmssm.analysis.report import (
     analysis_page,
     build_report,
@@ -44,16 +57,19 @@ from swarmssm.analysis.report import (
     report_run,
     write_report,
 )
-from swarmssm.analysis.scenes import free_run, scenes_of, with_free_run
-from swarmssm.analysis.scores import (
+from swarmssm.analysis.scoring import (
     backtest,
     paired_difference,
     score_intervals,
     score_table,
     skill,
 )
-from swarmssm.analysis.table import edge_table, format_number, horizon_table, scores_table
-from swarmssm.analysis.thesis import FOOTNOTE as THESIS_FOOTNOTE
+from swarmssm.analysis.scoring.compare import compare, comparison_table
+from swarmssm.analysis.scoring.evaluate import evaluate
+from swarmssm.analysis.scoring.evaluation import Evaluation
+from swarmssm.analysis.scoring.forecast_fans import forecast_fan
+from swarmssm.analysis.scoring.table import edge_table, format_number, horizon_table, scores_table
+from swarmssm.analysis.scoring.thesis import FOOTNOTE as THESIS_FOOTNOTE
 
 __all__ = [
     "STATISTICS",

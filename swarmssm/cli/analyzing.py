@@ -59,9 +59,9 @@ def analyze(
 ) -> None:
     """Say which forces act, by which rule, what the latents carry, who moves whom; how surely."""
     from swarmssm import inference, io
-    from swarmssm.analysis.analyze import TITLES
-    from swarmssm.analysis.analyze import analyze as all_analyses
-    from swarmssm.analysis.findings import findings, findings_table
+    from swarmssm.analysis.interpretation.analyze import TITLES
+    from swarmssm.analysis.interpretation.analyze import analyze as all_analyses
+    from swarmssm.analysis.interpretation.findings import findings, findings_table
     from swarmssm.analysis.report.analysis_page import report_analysis
 
     page = out.with_suffix(".html") if report is None else report

@@ -12,7 +12,7 @@ from swarmssm.errors import InputError
 from swarmssm.files import check_output
 
 if TYPE_CHECKING:
-    from swarmssm.analysis.scenes.scene import Choice
+    from swarmssm.analysis.plots.scenes.scene import Choice
 
 __all__ = ["animate"]
 
@@ -63,7 +63,7 @@ def animate(
     """Show tracks in motion: a player to open in a browser, or a film."""
     from swarmssm import inference, io
     from swarmssm.analysis.plots.animation import WRITERS, check_film
-    from swarmssm.analysis.scenes import with_free_run
+    from swarmssm.analysis.plots.scenes import with_free_run
 
     page = out.suffix.lower() in (".html", ".htm")
     if page:

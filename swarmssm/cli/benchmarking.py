@@ -83,7 +83,7 @@ def benchmark(
     overwrite: Overwrite = False,
 ) -> None:
     """Measure every method on the same frames: errors, densities, free runs, edges, time."""
-    from swarmssm.analysis.benchmark import (
+    from swarmssm.benchmark import (
         METHODS,
         check_outputs,
         collect,

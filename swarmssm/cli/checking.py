@@ -61,8 +61,8 @@ def check(
 ) -> None:
     """Simulate whole swarms from the fitted model, and compare them with the recording."""
     from swarmssm import inference, io
-    from swarmssm.analysis.checks import STATISTICS, Statistic, sentence
-    from swarmssm.analysis.checks import check as compare
+    from swarmssm.analysis.diagnostics.checks import STATISTICS, Statistic, sentence
+    from swarmssm.analysis.diagnostics.checks import check as compare
     from swarmssm.analysis.plots.checks import plot_check_overview, plot_statistics
     from swarmssm.models.registry import find_part
 

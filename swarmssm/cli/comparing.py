@@ -70,8 +70,8 @@ def compare(
 ) -> None:
     """Rank runs by how probable they make what they have not seen, on the same frames."""
     from swarmssm import io
-    from swarmssm.analysis.compare import compare as ranked
-    from swarmssm.analysis.compare import comparison_dict, comparison_table, sentence
+    from swarmssm.analysis.scoring.compare import compare as ranked
+    from swarmssm.analysis.scoring.compare import comparison_dict, comparison_table, sentence
 
     if out is not None:
         check_output(out, overwrite=overwrite)

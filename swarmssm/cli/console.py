@@ -82,7 +82,7 @@ def print_rows(title: str, rows: Sequence[Mapping[str, object]]) -> None:
 def print_evaluation(title: str, result: "Evaluation", thesis: str | None = None) -> None:
     """Print the scores of a fit beside those of its rivals, and of the thesis if asked."""
     from swarmssm import analysis
-    from swarmssm.analysis.table import format_unit
+    from swarmssm.analysis.scoring.table import format_unit
 
     print_rows(title, analysis.scores_table(result, thesis))
     if thesis is not None:

@@ -118,7 +118,7 @@ def _sections(
 ) -> "list[Section]":
     """Score the fits of one swarm, print the scores, and return a section on each."""
     from swarmssm import analysis
-    from swarmssm.analysis.scores import score_table
+    from swarmssm.analysis.scoring import score_table
 
     with counting_progress(f"{title}: forecasting", "batches") as show:
         scores = analysis.backtest(

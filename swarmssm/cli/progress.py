@@ -13,7 +13,7 @@ import typer
 from swarmssm.cli.console import short
 
 if TYPE_CHECKING:
-    from swarmssm.analysis.calibration.many_runs import Counted
+    from swarmssm.analysis.diagnostics.calibration.many_runs import Counted
     from swarmssm.inference import Progress
 
 __all__ = ["counting_progress", "piece_progress", "stages", "training_progress"]
@@ -71,7 +71,7 @@ def counting_progress(
 @contextmanager
 def piece_progress(label: str, things: str) -> Iterator[Callable[[int, int], None]]:
     """Show how many of how many things are done, told as two numbers."""
-    from swarmssm.analysis.calibration.many_runs import Counted
+    from swarmssm.analysis.diagnostics.calibration.many_runs import Counted
 
     with counting_progress(label, things) as show:
         yield lambda done, total: show(Counted(done, total, 0))

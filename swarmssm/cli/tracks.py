@@ -56,7 +56,7 @@ def import_tracks(
 ) -> None:
     """Read the files of a tracker and write them as tracks."""
     from swarmssm import io
-    from swarmssm.summary import summarize
+    from swarmssm.tracks.summary import summarize
 
     target = out or Path(f"{path.resolve().name.removesuffix(path.suffix)}.nc")
     tracks = io.read(
@@ -88,7 +88,7 @@ def info(
 ) -> None:
     """Say what is in a file of tracks: who, how long, how well tracked, how it moves."""
     from swarmssm import io
-    from swarmssm.summary import describe, summarize
+    from swarmssm.tracks.summary import describe, summarize
 
     summary = summarize(io.read(path, fps=fps))
     if format is TableFormat.json:

@@ -8,10 +8,10 @@ import xarray as xr
 
 from swarmssm.errors import InputError
 from swarmssm.graphs import GraphRule, add_adjacency, default_rule, rule_of
-from swarmssm.kinematics import add_velocity
 from swarmssm.models import SwarmBatch
-from swarmssm.scaling import Scaler, fit_scaler
 from swarmssm.tracks import Array, states_of, validate_tracks, with_trials
+from swarmssm.tracks.kinematics import add_velocity
+from swarmssm.tracks.scaling import Scaler, fit_scaler
 
 __all__ = [
     "Preparation",

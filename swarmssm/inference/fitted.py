@@ -26,8 +26,8 @@ from swarmssm.inference.run_folder import Run, load_run, save_run
 from swarmssm.inference.starting import fullest_frames, last_frames
 from swarmssm.models import InferredEdges, OneStepModel, StateSpaceModel
 from swarmssm.models.parts import own_parameters
-from swarmssm.splits import take
 from swarmssm.tracks import MAX_COORDINATE, Array, make_tracks
+from swarmssm.tracks.splits import take
 
 __all__ = ["Fit"]
 
@@ -232,7 +232,7 @@ class Fit(Run):
 
         What the frame before knows of later ones, this knows too: velocities that were smoothed
         over the whole recording (``velocity="kalman"``) have seen the frame that is predicted.
-        :func:`swarmssm.analysis.evaluate` smooths them from the past alone.
+        :func:`swarmssm.analysis.scoring.evaluate` smooths them from the past alone.
 
         Parameters
         ----------

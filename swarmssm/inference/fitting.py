@@ -44,8 +44,8 @@ from swarmssm.models import (
     SwarmModel,
     scales_of,
 )
-from swarmssm.splits import Split, split, take
 from swarmssm.tracks import validate_tracks
+from swarmssm.tracks.splits import Split, split, take
 
 __all__ = ["fit"]
 

@@ -36,9 +36,9 @@ from swarmssm.inference.data import Preparation
 from swarmssm.inference.guides import GUIDES, SwarmGuide, find_guide, usual_guide
 from swarmssm.inference.settings import FitSettings, settings_from
 from swarmssm.models import MODELS, Scales, SwarmModel, find_model
-from swarmssm.models.ready import EDGES, with_edges
-from swarmssm.scaling import Scaler
-from swarmssm.splits import Split
+from swarmssm.models.presets import EDGES, with_edges
+from swarmssm.tracks.scaling import Scaler
+from swarmssm.tracks.splits import Split
 
 __all__ = [
     "CHECKPOINT",

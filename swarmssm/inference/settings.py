@@ -44,7 +44,7 @@ class FitSettings(pydantic.BaseModel):
     edges
         ``"auto"``, the model's own; or those that take their place: ``"relational"``,
         ``"dynamic-relational"``, ``"observed"``, or a rule such as ``"radius:2.5"``, see
-        :func:`swarmssm.models.ready.with_edges`.
+        :func:`swarmssm.models.presets.with_edges`.
     edge_types, edge_options
         Number of types of inferred edges, the one that is no edge included (absent, 2), and named
         arguments of their constructor.
@@ -77,16 +77,16 @@ class FitSettings(pydantic.BaseModel):
     device
         ``"cpu"``, ``"cuda"``, or ``"auto"``.
     scaler
-        See :func:`swarmssm.scaling.fit_scaler`; ``"auto"``, as the model likes.
+        See :func:`swarmssm.tracks.scaling.fit_scaler`; ``"auto"``, as the model likes.
     graph
         ``"auto"``: that of the tracks, else :func:`swarmssm.graphs.default_rule`; ``"data"``: that
         of the tracks; else a rule as :meth:`swarmssm.graphs.GraphRule.parse` reads it, which
         replaces the tracks' own.
     velocity
         ``"auto"``: that of the tracks, else differences; or ``"difference"``, ``"kalman"``, see
-        :func:`swarmssm.kinematics.add_velocity`.
+        :func:`swarmssm.tracks.kinematics.add_velocity`.
     split_by, fractions, gap
-        See :func:`swarmssm.splits.split`.
+        See :func:`swarmssm.tracks.splits.split`.
     validate_every
         Epochs between two rows of the history; absent, such that there are about a hundred.
     patience

@@ -5,7 +5,7 @@ import torch
 from swarmssm.errors import InputError
 from swarmssm.graphs import GraphRule
 from swarmssm.inference.data import Prepared
-from swarmssm.scaling import Scaler
+from swarmssm.tracks.scaling import Scaler
 
 __all__ = ["MAX_CARRY", "carry_on", "fullest_frames", "last_frames"]
 

@@ -16,7 +16,7 @@ from swarmssm.io.attributes import plain_attribute
 from swarmssm.io.clock import clock_of
 from swarmssm.io.numpy_files import NPY_MAGIC, NumpyArchive, read_npy
 from swarmssm.io.opening import existing, first_bytes
-from swarmssm.timegrid import Array, check_fps
+from swarmssm.tracks.time_grid import Array, check_fps
 
 __all__ = ["POSITION_KEYS", "read_arrays"]
 

@@ -12,8 +12,8 @@ import xarray as xr
 from swarmssm.errors import InputError
 from swarmssm.io.clock import RATE_TOLERANCE, Clock
 from swarmssm.io.opening import check_memory, shorten
-from swarmssm.timegrid import Array
 from swarmssm.tracks import MAX_COORDINATE, make_tracks
+from swarmssm.tracks.time_grid import Array
 
 __all__ = ["EmptyPolicy", "Piece", "assemble", "check_distinct", "named_list", "settle_empty"]
 

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from swarmssm.errors import InputError
-from swarmssm.timegrid import MAX_JITTER, MAX_SPARSITY, Array, check_fps, rate_of
-from swarmssm.validation import MAX_COORDINATE
+from swarmssm.tracks.time_grid import MAX_JITTER, MAX_SPARSITY, Array, check_fps, rate_of
+from swarmssm.tracks.validation import MAX_COORDINATE
 
 __all__ = ["Clock", "Place", "clock_of", "row_name"]
 

@@ -14,8 +14,8 @@ from swarmssm.files import check_output, write_beside
 from swarmssm.io.assembly import named_list
 from swarmssm.io.hdf5 import open_hdf5
 from swarmssm.io.opening import existing, reading
-from swarmssm.timegrid import check_fps, rate_of
-from swarmssm.validation import PLURALS, validate_tracks
+from swarmssm.tracks.time_grid import check_fps, rate_of
+from swarmssm.tracks.validation import PLURALS, validate_tracks
 
 __all__ = [
     "encoded",

@@ -18,7 +18,7 @@ from swarmssm.io.opening import existing
 from swarmssm.io.tables import read_table
 from swarmssm.io.trex import read_trex
 from swarmssm.io.trex_csv import read_trex_csv
-from swarmssm.timegrid import check_fps
+from swarmssm.tracks.time_grid import check_fps
 
 __all__ = ["FORMATS", "read"]
 

@@ -12,7 +12,7 @@ from swarmssm.io.clock import clock_of
 from swarmssm.io.columns import AXES, Axis, Roles
 from swarmssm.io.opening import check_memory, shorten
 from swarmssm.io.text import Table
-from swarmssm.timegrid import Array
+from swarmssm.tracks.time_grid import Array
 
 __all__ = ["Rows", "load_rows", "pieces_of"]
 

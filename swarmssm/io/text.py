@@ -20,7 +20,7 @@ import pyarrow.csv
 
 from swarmssm.errors import InputError
 from swarmssm.io.opening import check_memory, reading, shorten
-from swarmssm.timegrid import Array
+from swarmssm.tracks.time_grid import Array
 
 __all__ = ["Table", "TextTable"]
 

@@ -16,7 +16,7 @@ from swarmssm.io.numpy_files import NumpyArchive
 from swarmssm.io.opening import existing
 from swarmssm.io.trex_files import IndividualFile, is_companion, of_one_video, tracks_of
 from swarmssm.io.trex_visual_field import add_visual_field, tracks_from_visual_field
-from swarmssm.timegrid import Array
+from swarmssm.tracks.time_grid import Array
 
 __all__ = ["CENTROIDS", "centroid_of", "checked_file", "is_trex_archive", "read_trex"]
 

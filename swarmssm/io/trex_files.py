@@ -14,7 +14,7 @@ from swarmssm.errors import InputError
 from swarmssm.io.assembly import Piece, assemble, named_list
 from swarmssm.io.clock import clock_of
 from swarmssm.io.opening import check_memory
-from swarmssm.timegrid import Array
+from swarmssm.tracks.time_grid import Array
 
 __all__ = ["IndividualFile", "is_companion", "of_one_video", "tracks_of"]
 

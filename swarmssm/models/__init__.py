@@ -2,6 +2,7 @@
 
 from swarmssm.models.base import NextStep, OneStepModel, SwarmModel
 from swarmssm.models.batch import SwarmBatch
+from swarmssm.models.distributions.kinematic import Kinematic
 from swarmssm.models.edges import (
     DynamicRelationalEdges,
     Edges,
@@ -19,7 +20,6 @@ from swarmssm.models.emissions import (
 )
 from swarmssm.models.graph_vae import GraphVAE
 from swarmssm.models.initial import InitialStates
-from swarmssm.models.kinematic import Kinematic
 from swarmssm.models.markov import MarkovChain, StepInputs
 from swarmssm.models.parameters import assign
 from swarmssm.models.priors import parameters_of, parse_distribution, with_priors

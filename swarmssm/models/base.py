@@ -20,7 +20,7 @@ class SwarmModel(PyroModule):  # type: ignore[misc]
     """
 
     default_epochs: ClassVar[int] = 300
-    #: How tracks are scaled for it unless the user says otherwise (:mod:`swarmssm.scaling`).
+    #: How tracks are scaled for it unless the user says otherwise (:mod:`swarmssm.tracks.scaling`).
     scaler: ClassVar[str] = "minmax"
 
     def __init__(self, state_dim: int) -> None:

@@ -9,7 +9,7 @@ from pyro.distributions import TorchDistribution
 from torch.distributions import constraints
 
 from swarmssm.graphs import EdgeList, Graph
-from swarmssm.models.kinematic import Kinematic
+from swarmssm.models.distributions.kinematic import Kinematic
 
 __all__ = ["MarkovChain", "Step", "StepInputs"]
 

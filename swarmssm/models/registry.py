@@ -12,7 +12,7 @@ from typing import Any
 from swarmssm.errors import InputError
 from swarmssm.models.base import SwarmModel
 from swarmssm.models.graph_vae import GraphVAE
-from swarmssm.models.ready import boids, graph_ssm, kernel, linear
+from swarmssm.models.presets import boids, graph_ssm, kernel, linear
 
 __all__ = ["MODELS", "find_model", "find_part"]
 

@@ -10,8 +10,8 @@ import xarray as xr
 
 from swarmssm.errors import InputError
 from swarmssm.graphs import GraphRule
-from swarmssm.kinematics import estimate_noise
 from swarmssm.tracks import Array, states_of, with_trials
+from swarmssm.tracks.kinematics import estimate_noise
 
 __all__ = ["Scales", "scales_of"]
 

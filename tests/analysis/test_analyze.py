@@ -10,12 +10,12 @@ import pytest
 import xarray as xr
 
 from swarmssm import inference, io, simulate
-from swarmssm.analysis.analyze import analyze
-from swarmssm.analysis.analyzed import ANALYSES, Analysis
-from swarmssm.analysis.findings import findings, findings_table
-from swarmssm.analysis.forces.posterior import posterior_forces
+from swarmssm.analysis.interpretation.analyze import analyze
+from swarmssm.analysis.interpretation.analyzed import ANALYSES, Analysis
+from swarmssm.analysis.interpretation.findings import findings, findings_table
+from swarmssm.analysis.interpretation.forces.posterior import posterior_forces
 from swarmssm.analysis.report.analysis_page import analysis_page, report_analysis
-from swarmssm.analysis.scores.backtest import backtest
+from swarmssm.analysis.scoring.backtest import backtest
 from swarmssm.errors import InputError
 
 QUICK = {"latents": {"shifts": 19, "untrained_seeds": 1}}
@@ -163,7 +163,7 @@ def test_what_cannot_be_had_is_left_out_with_a_note():
 
 def test_long_recordings_are_thinned_and_say_so(quick_fit, boids, monkeypatch):
     whole = analyze(quick_fit, boids, draws=4, only=["forces"])
-    own = sys.modules["swarmssm.analysis.analyze"]
+    own = sys.modules["swarmssm.analysis.interpretation.analyze"]
     # Four draws of four trials of 60 frames of five individuals: 56 bytes a state.
     needed = 4 * 4 * 60 * 5 * 56
     monkeypatch.setattr(own, "LARGEST", needed // 3 + 1)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from swarmssm.analysis import evaluate
-from swarmssm.analysis.baseline_errors import baseline_covariances
-from swarmssm.models.baselines import ConstantVelocity, StayPut
+from swarmssm.analysis.scoring.baseline_errors import baseline_covariances
+from swarmssm.baselines import ConstantVelocity, StayPut
 
 
 def test_errors_of_a_baseline_in_a_random_walk_grow_as_they_must():

@@ -11,11 +11,11 @@ import xarray as xr
 
 from swarmssm import datasets, inference, simulate
 from swarmssm.analysis import evaluate
-from swarmssm.analysis.evaluate import rolling_origins
+from swarmssm.analysis.scoring.evaluate import rolling_origins
 from swarmssm.errors import InputError
-from swarmssm.scaling import fit_scaler
-from swarmssm.splits import take
 from swarmssm.tracks import make_tracks, states_of
+from swarmssm.tracks.scaling import fit_scaler
+from swarmssm.tracks.splits import take
 
 MODEL, STAY, STRAIGHT, FLOOR = "graph-vae", "stay-put", "constant-velocity", "noise-floor"
 FEW = {"horizons": (1, 5), "free_run_steps": 10, "draws": 2, "starts": 2, "origins": 10}

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from swarmssm import inference
-from swarmssm.analysis.analyze import analyze
-from swarmssm.analysis.extrapolation import beyond_training
+from swarmssm.analysis.interpretation.analyze import analyze
+from swarmssm.analysis.interpretation.extrapolation import beyond_training
 from swarmssm.tracks import make_tracks
 
 

@@ -6,8 +6,8 @@ import xarray as xr
 from matplotlib.collections import LineCollection
 from matplotlib.patches import Ellipse
 
-from swarmssm.analysis.forecast_fans import forecast_fan, sentence
 from swarmssm.analysis.plots.forecasts import plot_forecast, plot_forecast_over_time
+from swarmssm.analysis.scoring.forecast_fans import forecast_fan, sentence
 from swarmssm.errors import InputError
 from swarmssm.tracks import make_tracks
 

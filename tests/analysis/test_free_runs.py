@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from swarmssm.analysis.forecasters import BaselineForecaster
-from swarmssm.analysis.free_runs import collective_scores, free_run_starts
-from swarmssm.analysis.subject import subject_of
-from swarmssm.models.baselines import ConstantVelocity, StayPut
+from swarmssm.analysis.scoring.forecasters import BaselineForecaster
+from swarmssm.analysis.scoring.free_runs import collective_scores, free_run_starts
+from swarmssm.analysis.scoring.subject import subject_of
+from swarmssm.baselines import ConstantVelocity, StayPut
 from swarmssm.tracks import make_tracks
 
 FPS = 10.0

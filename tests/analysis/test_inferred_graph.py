@@ -5,16 +5,10 @@ import pytest
 import torch
 
 from swarmssm import inference, simulate
-from swarmssm.analysis import (
-    analysis_page,
-    analyze,
-    inferred_edges,
-    influence,
-    plots,
-    to_inference_data,
-)
-from swarmssm.analysis.inferred_graph import law_graph, step_inputs
-from swarmssm.analysis.motion import motion_of, posterior_paths
+from swarmssm.analysis import analysis_page, analyze, inferred_edges, plots, to_inference_data
+from swarmssm.analysis.interpretation import influence
+from swarmssm.analysis.interpretation.inferred_graph import law_graph, step_inputs
+from swarmssm.analysis.posterior.accelerations import motion_of, posterior_paths
 
 KINDS = ("relational", "dynamic-relational")
 

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from swarmssm import inference, simulate
-from swarmssm.analysis.forecasters import (
+from swarmssm.analysis.scoring.forecasters import (
     BaselineForecaster,
     LawForecaster,
     ModelForecaster,
     law_forecaster,
 )
-from swarmssm.analysis.subject import subject_of
-from swarmssm.models.baselines import BASELINES
+from swarmssm.analysis.scoring.subject import subject_of
+from swarmssm.baselines import BASELINES
 
 ORIGIN, STEPS = 25, 6
 

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from swarmssm.analysis import edge_table, format_number, horizon_table, scores_table
-from swarmssm.analysis.thesis import THESIS_TABLES, thesis_table_for
+from swarmssm.analysis.scoring.thesis import THESIS_TABLES, thesis_table_for
 from swarmssm.errors import InputError
 from swarmssm.tracks import make_tracks
 

@@ -64,7 +64,7 @@ def test_what_was_begun_is_not_lost(swarmssm, tmp_path):
 
 
 def test_interrupted_by_hand(swarmssm, tmp_path, monkeypatch):
-    from swarmssm.analysis.calibration import simulation as calibration
+    from swarmssm.analysis.diagnostics.calibration import simulation as calibration
 
     def stop(self, index):
         if index == 1:
@@ -91,7 +91,7 @@ def test_interrupted_by_hand(swarmssm, tmp_path, monkeypatch):
 
 
 def test_interrupted_before_anything_was_finished(swarmssm, tmp_path, monkeypatch):
-    from swarmssm.analysis.calibration import simulation as calibration
+    from swarmssm.analysis.diagnostics.calibration import simulation as calibration
 
     def stop(self, index):
         raise KeyboardInterrupt

@@ -9,7 +9,7 @@ import pytest
 def analysed(flock_file, run_folder, tmp_path_factory):
     """A file of forces alone."""
     from swarmssm import inference, io
-    from swarmssm.analysis.analyze import analyze
+    from swarmssm.analysis.interpretation.analyze import analyze
 
     path = tmp_path_factory.mktemp("analysed") / "flock a.nc"
     fit = inference.Fit.load(run_folder)

@@ -5,7 +5,7 @@ import io
 
 import pytest
 
-from swarmssm.analysis.calibration.many_runs import Counted
+from swarmssm.analysis.diagnostics.calibration.many_runs import Counted
 from swarmssm.cli import progress as shown
 from swarmssm.cli.progress import counting_progress, training_progress
 from swarmssm.inference import Progress

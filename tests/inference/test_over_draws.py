@@ -5,14 +5,14 @@ import dataclasses
 import pytest
 import torch
 
-from swarmssm.analysis.calibration.synthetic import FixedModel, standard_scales
+from swarmssm.analysis.diagnostics.calibration.synthetic import FixedModel, standard_scales
 from swarmssm.graphs import GraphRule
 from swarmssm.inference.guides import LinearizedGuide
 from swarmssm.inference.prediction import over_draws, seeded
 from swarmssm.inference.prediction.base import Beginning
 from swarmssm.inference.prediction.over_draws import OverDraws, in_pieces
 from swarmssm.inference.prediction.state_space import StateSpacePredictor
-from swarmssm.scaling import Scaler
+from swarmssm.tracks.scaling import Scaler
 
 DRAWS, ORIGINS, BIRDS = 5, 3, 4
 PLAIN = {"walls": False, "limits": False, "relaxation": True, "noise": "additive"}

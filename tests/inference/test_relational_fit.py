@@ -31,7 +31,7 @@ from swarmssm.models import (
     StateSpaceModel,
     SwarmBatch,
 )
-from swarmssm.models.ready import boids, graph_ssm, kernel, linear, with_edges
+from swarmssm.models.presets import boids, graph_ssm, kernel, linear, with_edges
 from swarmssm.models.transitions import LinearForceTransition
 from swarmssm.tracks import make_tracks
 

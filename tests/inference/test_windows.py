@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from swarmssm.errors import InputError
 from swarmssm.graphs import GraphRule, add_adjacency
 from swarmssm.inference.data import Prepared, frames_of, preparation_for, prepare, windows_of
-from swarmssm.scaling import Scaler
 from swarmssm.tracks import make_tracks
+from swarmssm.tracks.scaling import Scaler
 
 SETTINGS = {"scaler": "minmax", "graph": "auto", "velocity": "auto"}
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from swarmssm import metrics
+from swarmssm.baselines import BASELINES, Baseline, ConstantVelocity, StayPut
 from swarmssm.errors import InputError
-from swarmssm.models.baselines import BASELINES, Baseline, ConstantVelocity, StayPut
 from swarmssm.tracks import make_tracks
 
 FPS = 10.0

@@ -13,9 +13,9 @@ from pyro.infer.autoguide import AutoMultivariateNormal
 from swarmssm.errors import InputError
 from swarmssm.graphs import EdgeList
 from swarmssm.models import InitialStates, LatentEdges, StateSpaceModel, StepInputs, SwarmBatch
+from swarmssm.models.distributions.speed_limits import limit_speed
 from swarmssm.models.parameters import fixed
 from swarmssm.models.radius_grid import RadiusGridModel
-from swarmssm.models.speed_limits import limit_speed
 from swarmssm.models.transitions import BoidsTransition, Hierarchical, KinematicTransition
 from swarmssm.simulate import law_of, simulate_boids
 

@@ -12,7 +12,7 @@ from swarmssm.errors import InputError
 from swarmssm.graphs import EdgeList, Pairs
 from swarmssm.models import InitialStates, Scales, StateSpaceModel, StepInputs, SwarmBatch
 from swarmssm.models.interaction_network import InteractionNetwork
-from swarmssm.models.ready import graph_ssm
+from swarmssm.models.presets import graph_ssm
 from swarmssm.models.reflections import reflected
 from swarmssm.models.transitions import GraphTransition, SoftSpeedLimits
 from swarmssm.models.transitions.base import Transition

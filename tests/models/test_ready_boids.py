@@ -13,7 +13,7 @@ from swarmssm.errors import InputError
 from swarmssm.inference.filtering.evidence import collapsed_evidence
 from swarmssm.models import LatentEdges, ObservedEdges, SwarmBatch, scales_of
 from swarmssm.models.parameters import priors_of
-from swarmssm.models.ready import boids
+from swarmssm.models.presets import boids
 from swarmssm.models.scales import Scales
 from swarmssm.simulate import simulate_boids
 

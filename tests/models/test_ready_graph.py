@@ -18,7 +18,7 @@ from swarmssm.models import (
     SwarmBatch,
     scales_of,
 )
-from swarmssm.models.ready import graph_ssm
+from swarmssm.models.presets import graph_ssm
 from swarmssm.models.transitions import GraphTransition
 from swarmssm.simulate import simulate_boids
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 from scipy import stats
 
-from swarmssm.models.speed_limits import SpeedLimited, limit_speed, limited_moments
+from swarmssm.models.distributions.speed_limits import SpeedLimited, limit_speed, limited_moments
 
 DOUBLE = torch.float64
 LOW, HIGH = 0.6, 1.2

@@ -6,10 +6,9 @@ import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarmssm import kinematics
 from swarmssm.errors import InputError
-from swarmssm.kinematics import add_velocity, estimate_noise, observed_runs, smooth_positions
-from swarmssm.tracks import Array, make_tracks, states_of, stepwise_velocity
+from swarmssm.tracks import Array, kinematics, make_tracks, states_of, stepwise_velocity
+from swarmssm.tracks.kinematics import add_velocity, estimate_noise, observed_runs, smooth_positions
 
 NAN = np.nan
 

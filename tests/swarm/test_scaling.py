@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from swarmssm.errors import InputError
-from swarmssm.scaling import SCALERS, Scaler, fit_scaler
 from swarmssm.tracks import Array, stepwise_velocity
+from swarmssm.tracks.scaling import SCALERS, Scaler, fit_scaler
 
 NAN = np.nan
 

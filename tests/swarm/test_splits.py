@@ -9,10 +9,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from swarmssm.errors import InputError
-from swarmssm.kinematics import add_velocity
-from swarmssm.scaling import fit_scaler
-from swarmssm.splits import PARTS, Segment, Split, split, take
 from swarmssm.tracks import Array, make_tracks, states_of, validate_tracks
+from swarmssm.tracks.kinematics import add_velocity
+from swarmssm.tracks.scaling import fit_scaler
+from swarmssm.tracks.splits import PARTS, Segment, Split, split, take
 
 NAN = np.nan
 

@@ -4,7 +4,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from swarmssm.errors import InputError
-from swarmssm.timegrid import MAX_FPS, check_fps, check_increasing, grid_rows, rate_of, time_grid
+from swarmssm.tracks.time_grid import (
+    MAX_FPS,
+    check_fps,
+    check_increasing,
+    grid_rows,
+    rate_of,
+    time_grid,
+)
 
 RATES = [30.0, 25.0, 29.97, 30000 / 1001, 59.94, 1.0, 0.1, 1 / 900, 1 / 86400, 240.0, 1000.0]
 

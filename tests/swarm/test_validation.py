@@ -9,7 +9,7 @@ import xarray as xr
 
 from swarmssm.errors import InputError
 from swarmssm.tracks import make_tracks, states_of, validate_tracks
-from swarmssm.validation import text_of
+from swarmssm.tracks.validation import text_of
 
 NAN = np.nan
 #: Two animals on straight lines: x = t, y = 2 t and x = -t, y = 10.

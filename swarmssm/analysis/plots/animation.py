@@ -15,8 +15,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from swarmssm.analysis.plots.frames import FramePicture
-from swarmssm.analysis.plots.tracks import TAIL
-from swarmssm.analysis.scenes.scene import (
+from swarmssm.analysis.plots.scenes.scene import (
     FASTEST,
     FLAT,
     Choice,
@@ -25,6 +24,7 @@ from swarmssm.analysis.scenes.scene import (
     pace_of,
     scenes_of,
 )
+from swarmssm.analysis.plots.tracks import TAIL
 from swarmssm.errors import InputError, WorkError
 from swarmssm.files import check_output, write_beside
 
@@ -56,7 +56,7 @@ def animate(
     Parameters
     ----------
     tracks, predicted
-        Tracks, and for instance a :func:`swarmssm.analysis.scenes.free_run` on them.
+        Tracks, and for instance a :func:`swarmssm.analysis.plots.scenes.free_run` on them.
     tail
         Frames of path behind each individual; 0 for none.
     fps_out
@@ -69,7 +69,7 @@ def animate(
         Of the two pictures.
     **choice
         ``trial, individuals, start, steps, every, edges, predicted_start``: what is shown, see
-        :func:`swarmssm.analysis.scenes.scenes_of`.
+        :func:`swarmssm.analysis.plots.scenes.scenes_of`.
 
     Returns
     -------
@@ -80,7 +80,7 @@ def animate(
     Raises
     ------
     InputError
-        As :func:`swarmssm.analysis.scenes.scenes_of`, and if ``tail`` or ``fps_out`` is out of
+        As ``scenes_of``, and if ``tail`` or ``fps_out`` is out of
         range.
     """
     if tail < 0:

@@ -33,7 +33,7 @@ def plot_benchmark(
     Parameters
     ----------
     errors
-        ``squared_error (model, step)``, see :class:`swarmssm.analysis.benchmark.Results`.
+        ``squared_error (model, step)``, see :class:`swarmssm.benchmark.Results`.
     own
         Names of this package's models.
     fps

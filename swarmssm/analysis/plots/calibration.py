@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from swarmssm.analysis.calibration.parameter_names import short_name
+from swarmssm.analysis.diagnostics.calibration.parameter_names import short_name
 from swarmssm.analysis.plots.style import INDIVIDUALS, colour_of, legend_below, new_axes, new_grid
 
 __all__ = ["plot_calibration", "plot_coverage", "plot_ecdf_difference", "plot_rank_histograms"]

@@ -9,8 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
-from swarmssm.analysis.checks.verdicts import LEVEL
-from swarmssm.analysis.intervals import quantiles
+from swarmssm.analysis.diagnostics.checks.verdicts import LEVEL
 from swarmssm.analysis.plots.style import (
     INDIVIDUALS,
     colour_of,
@@ -19,7 +18,8 @@ from swarmssm.analysis.plots.style import (
     new_axes,
     new_grid,
 )
-from swarmssm.analysis.table import format_number, format_unit
+from swarmssm.analysis.posterior.intervals import quantiles
+from swarmssm.analysis.scoring.table import format_number, format_unit
 from swarmssm.errors import InputError
 from swarmssm.metrics.states import STATES
 
@@ -55,7 +55,7 @@ def plot_check_overview(checked: xr.Dataset, ax: Axes | None = None) -> tuple[Fi
     Parameters
     ----------
     checked
-        From :func:`swarmssm.analysis.checks.check`.
+        From :func:`swarmssm.analysis.diagnostics.checks.check`.
     ax
         Where to draw; new axes if absent.
 
@@ -106,7 +106,7 @@ def plot_statistics(
     Parameters
     ----------
     checked
-        From :func:`swarmssm.analysis.checks.check`.
+        From :func:`swarmssm.analysis.diagnostics.checks.check`.
     axes
         As many as statistics, rounded up to whole rows; new ones if absent.
 
@@ -140,7 +140,7 @@ def plot_statistic(checked: xr.Dataset, name: str, ax: Axes | None = None) -> tu
     Parameters
     ----------
     checked
-        From :func:`swarmssm.analysis.checks.check`.
+        From :func:`swarmssm.analysis.diagnostics.checks.check`.
     name
         Of the statistic.
     ax
@@ -179,7 +179,7 @@ def plot_order_parameters(
     Parameters
     ----------
     checked
-        From :func:`swarmssm.analysis.checks.check`.
+        From :func:`swarmssm.analysis.diagnostics.checks.check`.
     run
         Which.
     axes
@@ -229,7 +229,7 @@ def plot_pit(pit: xr.Dataset, ax: Axes | None = None) -> tuple[Figure, Axes]:
     Parameters
     ----------
     pit
-        From :func:`swarmssm.analysis.checks.one_step_pit`.
+        From :func:`swarmssm.analysis.diagnostics.checks.one_step_pit`.
     ax
         Where to draw; new axes if absent.
     """

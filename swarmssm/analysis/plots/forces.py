@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from swarmssm.analysis.plots.style import dot_size, label_axes, legend_below, new_axes
-from swarmssm.analysis.table import format_number, format_unit
+from swarmssm.analysis.scoring.table import format_number, format_unit
 
 __all__ = ["TERM_COLOURS", "plot_force_arrows", "plot_force_magnitudes", "plot_force_shares"]
 

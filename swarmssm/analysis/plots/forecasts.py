@@ -45,7 +45,7 @@ def plot_forecast(
     Parameters
     ----------
     fan
-        What :func:`swarmssm.analysis.forecast_fans.forecast_fan` returned.
+        What :func:`swarmssm.analysis.scoring.forecast_fans.forecast_fan` returned.
     ax
         Where to draw; new axes if absent.
     trial
@@ -121,7 +121,7 @@ def plot_forecast_over_time(
     Parameters
     ----------
     fan
-        What :func:`swarmssm.analysis.forecast_fans.forecast_fan` returned.
+        What :func:`swarmssm.analysis.scoring.forecast_fans.forecast_fan` returned.
     axes
         One for each individual and coordinate; new ones if absent.
     trial

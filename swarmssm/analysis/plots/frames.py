@@ -8,8 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.collections import Collection, LineCollection, PolyCollection
 from matplotlib.colors import to_rgba
 
+from swarmssm.analysis.plots.scenes.scene import Box, Scene
 from swarmssm.analysis.plots.style import individual_colours, label_axes
-from swarmssm.analysis.scenes.scene import Box, Scene
 from swarmssm.tracks import Array
 
 __all__ = ["FramePicture", "length_of"]

@@ -24,7 +24,7 @@ def plot_edge_probabilities(
     Parameters
     ----------
     edges
-        What :func:`swarmssm.analysis.inferred_edges.inferred_edges` returned.
+        What :func:`swarmssm.analysis.interpretation.inferred_edges.inferred_edges` returned.
     axes
         One for each type but ``"none"``; new ones if absent.
 

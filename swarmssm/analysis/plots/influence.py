@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch
 
 from swarmssm.analysis.plots.style import colour_of, legend_below, new_axes, new_grid, paint_ground
-from swarmssm.analysis.table import format_unit
+from swarmssm.analysis.scoring.table import format_unit
 
 __all__ = ["plot_influence", "plot_influence_matrix", "plot_influence_network", "plot_leadership"]
 
@@ -44,7 +44,7 @@ def plot_influence_network(
     Parameters
     ----------
     influence
-        What :func:`swarmssm.analysis.influence.influence` returned.
+        What :func:`swarmssm.analysis.interpretation.influence.influence` returned.
     ax
         Where to draw; new axes if absent.
     strength
@@ -153,7 +153,7 @@ def plot_leadership(
     Parameters
     ----------
     influence
-        What :func:`swarmssm.analysis.influence.influence` returned.
+        What :func:`swarmssm.analysis.interpretation.influence.influence` returned.
     ax
         Where to draw; new axes if absent.
     by
@@ -219,7 +219,7 @@ def plot_influence(
     Parameters
     ----------
     influence
-        What :func:`swarmssm.analysis.influence.influence` returned.
+        What :func:`swarmssm.analysis.interpretation.influence.influence` returned.
     axes
         Three axes; new ones if absent.
 

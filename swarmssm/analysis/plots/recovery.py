@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter
 
-from swarmssm.analysis.calibration.parameter_names import short_name
+from swarmssm.analysis.diagnostics.calibration.parameter_names import short_name
+from swarmssm.analysis.diagnostics.recovery.table import factor_curve, gains_of
 from swarmssm.analysis.plots.style import INDIVIDUALS, log_scale, new_grid
-from swarmssm.analysis.recovery.table import factor_curve, gains_of
 from swarmssm.errors import InputError
 
 __all__ = ["plot_recovery", "varied_factors"]

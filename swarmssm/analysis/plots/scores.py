@@ -12,8 +12,8 @@ from swarmssm.analysis.plots.style import (
     log_scale,
     new_axes,
 )
-from swarmssm.analysis.scores.differences import score_intervals
-from swarmssm.analysis.table import format_unit
+from swarmssm.analysis.scoring.differences import score_intervals
+from swarmssm.analysis.scoring.table import format_unit
 
 __all__ = ["plot_forecast_coverage", "plot_scores"]
 
@@ -38,12 +38,12 @@ def plot_scores(
 
     The intervals are those of each mean by itself, by the moving-block bootstrap; what makes frames
     hard for all is in them. Whether two models differ is told by
-    :func:`swarmssm.analysis.scores.paired_difference`. What is infinite is left out.
+    :func:`swarmssm.analysis.scoring.paired_difference`. What is infinite is left out.
 
     Parameters
     ----------
     scores
-        From :func:`swarmssm.analysis.scores.backtest`.
+        From :func:`swarmssm.analysis.scoring.backtest`.
     score
         ``"log_score"``, ``"crps"``, ``"energy_score"``, ``"mse"``, ``"coverage"`` or ``"width"``.
     ax
@@ -104,7 +104,7 @@ def plot_forecast_coverage(
     Parameters
     ----------
     scores
-        From :func:`swarmssm.analysis.scores.backtest`.
+        From :func:`swarmssm.analysis.scoring.backtest`.
     level
         Of the interval.
     ax

@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from swarmssm.analysis.plots.frames import FramePicture
+from swarmssm.analysis.plots.scenes.scene import box_of, scenes_of
 from swarmssm.analysis.plots.style import new_axes
-from swarmssm.analysis.scenes.scene import box_of, scenes_of
 from swarmssm.errors import InputError
 from swarmssm.graphs import GraphRule
 

@@ -9,11 +9,11 @@ import numpy.typing as npt
 import xarray as xr
 
 from swarmssm.analysis.posterior.foresight import foresee
-from swarmssm.analysis.subject import same_tracks
+from swarmssm.analysis.scoring.subject import same_tracks
 from swarmssm.errors import InputError
 from swarmssm.inference import Fit
-from swarmssm.splits import PARTS, Segment
 from swarmssm.tracks import Array
+from swarmssm.tracks.splits import PARTS, Segment
 
 __all__ = [
     "Window",

@@ -7,8 +7,8 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from swarmssm.analysis.analyzed import Analysis
-from swarmssm.analysis.findings import findings_table
+from swarmssm.analysis.interpretation.analyzed import Analysis
+from swarmssm.analysis.interpretation.findings import findings_table
 from swarmssm.analysis.plots import forces as force_plots
 from swarmssm.analysis.plots import influence as influence_plots
 from swarmssm.analysis.plots import latents as latent_plots
@@ -53,7 +53,7 @@ def analysis_chapters(analysis: Analysis, anchor: str = "") -> list[Chapter]:
     Parameters
     ----------
     analysis
-        What :func:`swarmssm.analysis.analyze` returned.
+        What :func:`swarmssm.analysis.interpretation.analyze` returned.
     anchor
         What names of figures start with, where several analyses share a page.
     """
@@ -94,7 +94,7 @@ def analysis_chapter(anchor: str, analysis: Analysis | None) -> Chapter:
     anchor
         Of the section, which names of figures start with.
     analysis
-        What :func:`swarmssm.analysis.analyze` returned; its scores are left to the comparison.
+        What ``analyze`` returned; its scores are left to the comparison.
     """
     title = "Forces and kernels"
     if analysis is None:

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import xarray as xr
 
-from swarmssm.analysis.analyzed import Analysis
-from swarmssm.analysis.findings import findings_table
+from swarmssm.analysis.interpretation.analyzed import Analysis
+from swarmssm.analysis.interpretation.findings import findings_table
 from swarmssm.analysis.report.analysis_chapters import FINDINGS, HEADINGS, analysis_chapters
 from swarmssm.analysis.report.blocks import Table
 from swarmssm.analysis.report.facts import (
@@ -31,7 +31,7 @@ def analysis_page(
     Parameters
     ----------
     analysis
-        What :func:`swarmssm.analysis.analyze` returned.
+        What :func:`swarmssm.analysis.interpretation.analyze` returned.
     fit, tracks
         The fit and the tracks that it speaks of.
     title

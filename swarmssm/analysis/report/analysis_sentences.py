@@ -3,8 +3,8 @@
 import numpy as np
 import xarray as xr
 
-from swarmssm.analysis.table import format_number as number
-from swarmssm.analysis.table import format_unit
+from swarmssm.analysis.scoring.table import format_number as number
+from swarmssm.analysis.scoring.table import format_unit
 
 __all__ = ["in_a_frame", "modulation", "over_time", "pairs", "rotated", "single_latents"]
 

@@ -8,16 +8,16 @@ from typing import Any
 import xarray as xr
 from markupsafe import Markup
 
-from swarmssm.analysis.analyze import analyze
-from swarmssm.analysis.checks import check, one_step_pit
-from swarmssm.analysis.evaluate import evaluate
-from swarmssm.analysis.evaluation import Evaluation
+from swarmssm.analysis.diagnostics.checks import check, one_step_pit
+from swarmssm.analysis.interpretation.analyze import analyze
+from swarmssm.analysis.plots.scenes.free_run import with_free_run
 from swarmssm.analysis.report.blocks import Fragment
 from swarmssm.analysis.report.page import render, write_page
 from swarmssm.analysis.report.player import player_assets, player_fragment
 from swarmssm.analysis.report.sections import Section, section_of
-from swarmssm.analysis.scenes.free_run import with_free_run
-from swarmssm.analysis.scores.backtest import backtest
+from swarmssm.analysis.scoring.backtest import backtest
+from swarmssm.analysis.scoring.evaluate import evaluate
+from swarmssm.analysis.scoring.evaluation import Evaluation
 from swarmssm.errors import InputError, SwarmssmError
 from swarmssm.files import check_output
 from swarmssm.inference import Fit
@@ -117,7 +117,7 @@ def full_section(
     title, fit, tracks, anchor, thesis
         As for :func:`swarmssm.analysis.report.section_of`.
     evaluation
-        What :func:`swarmssm.analysis.evaluate` returned for them, if it is there already.
+        What :func:`swarmssm.analysis.scoring.evaluate` returned for them, if it is there already.
     rivals
         Other fits, by name, to be scored on the same held-out frames; absent, none.
     scores
@@ -127,7 +127,7 @@ def full_section(
         10. No p-value is below one in so many.
     forces
         Whether to say which forces act and by which rule, with few draws:
-        :func:`swarmssm.analysis.analyze` says more.
+        :func:`swarmssm.analysis.interpretation.analyze` says more.
     player
         Whether the recording and a free run beside it can be played.
     seed
@@ -135,12 +135,12 @@ def full_section(
     progress
         Called with what is done next, in words.
     **options
-        For :func:`swarmssm.analysis.evaluate`.
+        For :func:`swarmssm.analysis.scoring.evaluate`.
 
     Raises
     ------
     InputError
-        As :func:`swarmssm.analysis.evaluate`. What cannot be had of this model or these tracks
+        As ``evaluate``. What cannot be had of this model or these tracks
         is left out, and a note in the page says why.
     """
     show = progress or (lambda what: None)

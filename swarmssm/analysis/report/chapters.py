@@ -5,9 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 import xarray as xr
 
-from swarmssm.analysis.checks.pit import pit_sentence
-from swarmssm.analysis.checks.verdicts import sentence as checks_sentence
-from swarmssm.analysis.joining import joined
+from swarmssm.analysis.diagnostics.checks.pit import pit_sentence
+from swarmssm.analysis.diagnostics.checks.verdicts import sentence as checks_sentence
 from swarmssm.analysis.plots.checks import (
     plot_check_overview,
     plot_order_parameters,
@@ -15,14 +14,15 @@ from swarmssm.analysis.plots.checks import (
     plot_statistic,
 )
 from swarmssm.analysis.plots.scores import plot_forecast_coverage, plot_scores
+from swarmssm.analysis.posterior.joining import joined
 from swarmssm.analysis.report.blocks import Block, Chapter, Notes, Picture, Rows, Table
 from swarmssm.analysis.report.embed import as_svg
 from swarmssm.analysis.report.held_out import shown_models
 from swarmssm.analysis.report.panels import as_panels
-from swarmssm.analysis.scores.sentence import sentence as scores_sentence
-from swarmssm.analysis.scores.tables import score_table
-from swarmssm.analysis.table import NOTHING, format_unit
-from swarmssm.analysis.table import format_number as number
+from swarmssm.analysis.scoring.sentence import sentence as scores_sentence
+from swarmssm.analysis.scoring.table import NOTHING, format_unit
+from swarmssm.analysis.scoring.table import format_number as number
+from swarmssm.analysis.scoring.tables import score_table
 
 __all__ = ["check_chapter", "comparison_chapter"]
 
@@ -61,9 +61,9 @@ def check_chapter(
     anchor
         Of the section, which names of figures start with.
     checked
-        From :func:`swarmssm.analysis.checks.check`.
+        From :func:`swarmssm.analysis.diagnostics.checks.check`.
     pit
-        From :func:`swarmssm.analysis.checks.one_step_pit`.
+        From :func:`swarmssm.analysis.diagnostics.checks.one_step_pit`.
     """
     blocks: list[Block] = []
     if checked is not None:
@@ -159,7 +159,7 @@ def comparison_chapter(anchor: str, scores: xr.Dataset | None) -> Chapter:
     anchor
         Of the section, which names of figures start with.
     scores
-        From :func:`swarmssm.analysis.scores.backtest`.
+        From :func:`swarmssm.analysis.scoring.backtest`.
     """
     if scores is None:
         return Chapter("comparison", "Comparison")

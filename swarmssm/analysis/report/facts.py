@@ -5,15 +5,15 @@ from collections import Counter
 import numpy as np
 import xarray as xr
 
-from swarmssm.analysis.evaluation import Evaluation
 from swarmssm.analysis.report.wording import setting_words
-from swarmssm.analysis.table import NOTHING
-from swarmssm.analysis.table import format_number as number
+from swarmssm.analysis.scoring.evaluation import Evaluation
+from swarmssm.analysis.scoring.table import NOTHING
+from swarmssm.analysis.scoring.table import format_number as number
 from swarmssm.inference import Fit
 from swarmssm.models import PositionEmission, StateSpaceModel
 from swarmssm.models.prior_text import distribution_text
 from swarmssm.models.priors import parameters_of
-from swarmssm.summary import summarize
+from swarmssm.tracks.summary import summarize
 
 __all__ = [
     "data_facts",

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import xarray as xr
 
-from swarmssm.analysis.analyzed import Analysis
-from swarmssm.analysis.joining import joined
+from swarmssm.analysis.interpretation.analyzed import Analysis
 from swarmssm.analysis.plots.gathered import plot_gathered_shares, plot_log_scores
+from swarmssm.analysis.posterior.joining import joined
 from swarmssm.analysis.report import analysis_sentences
 from swarmssm.analysis.report.embed import as_svg, house_style
 from swarmssm.analysis.report.held_out import (
@@ -74,7 +74,7 @@ def gathered_page(
     Parameters
     ----------
     analyses
-        Name of the set -> what :func:`swarmssm.analysis.analyze` returned, or
+        Name of the set -> what :func:`swarmssm.analysis.interpretation.analyze` returned, or
         :meth:`swarmssm.analysis.Analysis.read` read. What one of them lacks is said.
     title
         Heading; default names the sets.

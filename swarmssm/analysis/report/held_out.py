@@ -3,12 +3,12 @@
 import numpy as np
 import xarray as xr
 
-from swarmssm.analysis.joining import joined
 from swarmssm.analysis.plots.gathered import RIVALS
+from swarmssm.analysis.posterior.joining import joined
 from swarmssm.analysis.report.wording import capital
-from swarmssm.analysis.scores.differences import paired_difference
-from swarmssm.analysis.scores.tables import score_table
-from swarmssm.analysis.table import format_number
+from swarmssm.analysis.scoring.differences import paired_difference
+from swarmssm.analysis.scoring.table import format_number
+from swarmssm.analysis.scoring.tables import score_table
 
 __all__ = ["CAUTION", "own_model", "score_rows", "score_sentence", "shown_models"]
 
@@ -57,7 +57,7 @@ def score_sentence(scores: xr.Dataset, model: str) -> str:
     Parameters
     ----------
     scores
-        From :func:`swarmssm.analysis.scores.backtest`.
+        From :func:`swarmssm.analysis.scoring.backtest`.
     model
         Name of the model that is compared with the others.
     """

@@ -9,11 +9,7 @@ import xarray as xr
 from markupsafe import Markup
 
 from swarmssm.analysis.plots.frames import length_of
-from swarmssm.analysis.plots.style import individual_colours
-from swarmssm.analysis.plots.tracks import TAIL
-from swarmssm.analysis.report.page import render
-from swarmssm.analysis.report.player_data import pack_scene, resolution_of
-from swarmssm.analysis.scenes.scene import (
+from swarmssm.analysis.plots.scenes.scene import (
     FLAT,
     Choice,
     Scene,
@@ -22,6 +18,10 @@ from swarmssm.analysis.scenes.scene import (
     pace_of,
     scenes_of,
 )
+from swarmssm.analysis.plots.style import individual_colours
+from swarmssm.analysis.plots.tracks import TAIL
+from swarmssm.analysis.report.page import render
+from swarmssm.analysis.report.player_data import pack_scene, resolution_of
 from swarmssm.errors import InputError
 from swarmssm.files import check_output, write_beside
 
@@ -60,7 +60,7 @@ def player_fragment(
     Parameters
     ----------
     tracks, predicted
-        Tracks, and for instance a :func:`swarmssm.analysis.scenes.free_run` on them.
+        Tracks, and for instance a :func:`swarmssm.analysis.plots.scenes.free_run` on them.
     tail
         Frames of path behind each individual; 0 for none.
     fps_out
@@ -76,7 +76,7 @@ def player_fragment(
         after the last: leave them out and add :func:`player_assets`.
     **choice
         ``trial, individuals, start, steps, every, edges, predicted_start``: what is shown, see
-        :func:`swarmssm.analysis.scenes.scenes_of`.
+        :func:`swarmssm.analysis.plots.scenes.scenes_of`.
 
     Returns
     -------
@@ -88,7 +88,7 @@ def player_fragment(
     Raises
     ------
     InputError
-        As :func:`swarmssm.analysis.scenes.scenes_of`; if ``tail`` or ``fps_out`` is out of range;
+        As ``scenes_of``; if ``tail`` or ``fps_out`` is out of range;
         if it would be larger than 15 MB.
     """
     scenes = scenes_of(tracks, predicted, **choice)

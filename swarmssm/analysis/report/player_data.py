@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from swarmssm.analysis.scenes.scene import Scene
+from swarmssm.analysis.plots.scenes.scene import Scene
 from swarmssm.tracks import Array
 
 __all__ = ["pack_scene", "resolution_of"]

@@ -10,8 +10,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from swarmssm.analysis import plots
-from swarmssm.analysis.analyzed import Analysis
-from swarmssm.analysis.evaluation import Evaluation
+from swarmssm.analysis.interpretation.analyzed import Analysis
 from swarmssm.analysis.plots.model_graph import plot_model
 from swarmssm.analysis.plots.presence import plot_presence
 from swarmssm.analysis.report import sentences
@@ -28,8 +27,9 @@ from swarmssm.analysis.report.facts import (
     scoring_facts,
 )
 from swarmssm.analysis.report.panels import as_panels
-from swarmssm.analysis.table import edge_table, horizon_table, scores_table
-from swarmssm.analysis.thesis import FOOTNOTE
+from swarmssm.analysis.scoring.evaluation import Evaluation
+from swarmssm.analysis.scoring.table import edge_table, horizon_table, scores_table
+from swarmssm.analysis.scoring.thesis import FOOTNOTE
 from swarmssm.inference import Fit
 
 __all__ = ["Picture", "Section", "section_of"]
@@ -92,14 +92,14 @@ def section_of(
         Its place in the page, unlike that of any other section: letters, digits and hyphens.
     thesis
         Which of the thesis's tables to print beside, see
-        :func:`swarmssm.analysis.table.scores_table`.
+        :func:`swarmssm.analysis.scoring.table.scores_table`.
     checked, pit
-        From :func:`swarmssm.analysis.checks.check` and
-        :func:`~swarmssm.analysis.checks.one_step_pit`; absent, there is no chapter on checks.
+        From :func:`swarmssm.analysis.diagnostics.checks.check` and
+        ``one_step_pit``; absent, there is no chapter on checks.
     analysis
-        From :func:`swarmssm.analysis.analyze`; absent, there is none on forces and kernels.
+        From ``analyze``; absent, there is none on forces and kernels.
     scores
-        From :func:`swarmssm.analysis.scores.backtest` of this fit and its rivals; absent, there is
+        From :func:`swarmssm.analysis.scoring.backtest` of this fit and its rivals; absent, there is
         no comparison.
     player
         Tracks that move, at the head of the forecasts, see

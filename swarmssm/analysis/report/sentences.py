@@ -7,8 +7,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from swarmssm import metrics
-from swarmssm.analysis.evaluation import Evaluation
-from swarmssm.analysis.joining import joined
+from swarmssm.analysis.posterior.joining import joined
 from swarmssm.analysis.report.wording import (
     ALIKE,
     better,
@@ -18,7 +17,8 @@ from swarmssm.analysis.report.wording import (
     times,
     title_of,
 )
-from swarmssm.analysis.table import format_number as number
+from swarmssm.analysis.scoring.evaluation import Evaluation
+from swarmssm.analysis.scoring.table import format_number as number
 from swarmssm.tracks import Array
 
 __all__ = [

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
-from swarmssm.analysis.analyzed import Analysis
-from swarmssm.analysis.findings import Finding, findings
-from swarmssm.analysis.table import NOTHING, format_number, format_unit
+from swarmssm.analysis.interpretation.analyzed import Analysis
+from swarmssm.analysis.interpretation.findings import Finding, findings
+from swarmssm.analysis.scoring.table import NOTHING, format_number, format_unit
 
 __all__ = ["Cell", "Row", "fact_rows", "finding_rows", "unit_of", "unit_sentence"]
 

@@ -3,8 +3,8 @@
 import math
 from typing import Any
 
-from swarmssm.analysis.evaluation import Evaluation
-from swarmssm.analysis.table import format_number
+from swarmssm.analysis.scoring.evaluation import Evaluation
+from swarmssm.analysis.scoring.table import format_number
 
 __all__ = [
     "ALIKE",

@@ -56,8 +56,11 @@ def _drawn(found: "xr.Dataset", study: Study) -> "Figure | None":
 
 def _told(found: "xr.Dataset", study: Study) -> tuple[str, dict[str, list[dict[str, Any]]]]:
     """Return the sentence, and tables by their titles."""
-    from swarmssm.analysis.calibration.ranks import calibration_sentence, calibration_table
-    from swarmssm.analysis.recovery.table import (
+    from swarmssm.analysis.diagnostics.calibration.ranks import (
+        calibration_sentence,
+        calibration_table,
+    )
+    from swarmssm.analysis.diagnostics.recovery.table import (
         recovery_needs,
         recovery_sentence,
         recovery_table,

@@ -14,7 +14,7 @@ from swarmssm.cli.progress import counting_progress
 if TYPE_CHECKING:
     import xarray as xr
 
-    from swarmssm.analysis.recovery.settings import Setting
+    from swarmssm.analysis.diagnostics.recovery.settings import Setting
 
 __all__ = ["Study", "run_calibration", "run_recovery"]
 
@@ -40,8 +40,8 @@ def run_calibration(
     options: Mapping[str, Any],
 ) -> "xr.Dataset":
     """Ask whether intervals are as sure as they may be."""
-    from swarmssm.analysis.calibration.simulation import simulation_based_calibration
-    from swarmssm.analysis.calibration.synthetic import standard_scales
+    from swarmssm.analysis.diagnostics.calibration.simulation import simulation_based_calibration
+    from swarmssm.analysis.diagnostics.calibration.synthetic import standard_scales
 
     individuals, noise = sizes["individuals"], sizes["noise"]
     if individuals is None:
@@ -74,7 +74,7 @@ def run_recovery(
     options: Mapping[str, Any],
 ) -> "xr.Dataset":
     """Ask how much data the parameters take."""
-    from swarmssm.analysis.recovery.study import recovery_study
+    from swarmssm.analysis.diagnostics.recovery.study import recovery_study
 
     if graph is None:
         graph = like.graph
@@ -94,7 +94,7 @@ def run_recovery(
 
 def _base(like: Likeness, graph: str | None) -> "Setting":
     """Return the setting from which a recovery starts; without a radius if the graph is known."""
-    from swarmssm.analysis.recovery.settings import Setting
+    from swarmssm.analysis.diagnostics.recovery.settings import Setting
 
     base: Setting = Setting()
     if like.scales is None:

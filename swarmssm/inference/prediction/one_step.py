@@ -13,7 +13,7 @@ from swarmssm.inference.guides import OneStepGuide
 from swarmssm.inference.prediction.base import Beginning, Predictor, Trajectory, owning
 from swarmssm.inference.starting import carry_on
 from swarmssm.models import OneStepModel
-from swarmssm.scaling import Scaler
+from swarmssm.tracks.scaling import Scaler
 
 __all__ = ["OneStepPredictor"]
 

@@ -19,7 +19,7 @@ from swarmssm.inference.prediction.over_draws import OverDraws, in_pieces
 from swarmssm.inference.starting import MAX_CARRY
 from swarmssm.models import InferredEdges, ObservedEdges, StateSpaceModel, StepInputs, SwarmBatch
 from swarmssm.models.parameters import priors_of
-from swarmssm.scaling import Scaler
+from swarmssm.tracks.scaling import Scaler
 
 __all__ = ["StateSpacePredictor"]
 

@@ -9,7 +9,7 @@ from torch.func import jacfwd, vmap
 
 from swarmssm.graphs import dense
 from swarmssm.models.batch import SwarmBatch
-from swarmssm.models.kinematic import Kinematic
+from swarmssm.models.distributions.kinematic import Kinematic
 from swarmssm.models.layers import check_sizes
 from swarmssm.models.markov import StepInputs
 from swarmssm.models.parts import Part

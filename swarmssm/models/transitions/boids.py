@@ -8,7 +8,7 @@ from torch import Tensor
 
 from swarmssm import forces
 from swarmssm.graphs import Graph
-from swarmssm.models.speed_limits import TOLERANCE
+from swarmssm.models.distributions.speed_limits import TOLERANCE
 from swarmssm.models.transitions.boids_pairs import PairLaw
 from swarmssm.models.transitions.perception import perceive, sight
 from swarmssm.models.transitions.social import ForceTransition, Form, Noise, SocialForce
@@ -54,7 +54,7 @@ class BoidsTransition(ForceTransition):
         :math:`k_d, v_0`. Without a gain there is no speed regulation.
     min_speed, max_speed
         Limits of speed. With one of them the next velocity has the density of
-        :class:`~swarmssm.models.speed_limits.SpeedLimited`, which has atoms.
+        :class:`~swarmssm.models.distributions.speed_limits.SpeedLimited`, which has atoms.
     radius
         How far an individual sees, among those whom the graph lets it see. Absent, the graph is
         taken as it stands.

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from swarmssm.errors import InputError
 from swarmssm.graphs import EdgeList, Graph, degree, dense, pair_sum
-from swarmssm.models.speed_limits import TOLERANCE
+from swarmssm.models.distributions.speed_limits import TOLERANCE
 from swarmssm.models.transitions.kernel_pairs import KernelLaw, angular_factor
 from swarmssm.models.transitions.perception import any_in_sight, sight
 from swarmssm.models.transitions.radial_basis import RadialBasis

@@ -11,8 +11,8 @@ from torch import Tensor
 from swarmssm import forces
 from swarmssm.errors import InputError
 from swarmssm.graphs import Graph, dense
+from swarmssm.models.distributions.speed_limits import TOLERANCE, SpeedLimited, limited_moments
 from swarmssm.models.markov import StepInputs
-from swarmssm.models.speed_limits import TOLERANCE, SpeedLimited, limited_moments
 from swarmssm.models.transitions.base import KinematicTransition, Linearization
 from swarmssm.models.transitions.hierarchy import assign_hierarchical
 from swarmssm.models.transitions.perception import without_absent
@@ -130,7 +130,7 @@ class ForceTransition(KinematicTransition):
             :math:`k_d, v_0`. Without a gain there is no speed regulation.
         min_speed, max_speed
             Limits of speed. With one of them the next velocity has the density of
-            :class:`~swarmssm.models.speed_limits.SpeedLimited`, which has atoms.
+            :class:`~swarmssm.models.distributions.speed_limits.SpeedLimited`, which has atoms.
 
         Raises
         ------
@@ -313,7 +313,7 @@ class ForceTransition(KinematicTransition):
         covariance these are averaged over the uncertainty of each individual's own state, so that
         all is smooth in the parameters: the expected push of the wall and its expected derivative,
         :math:`E|v|^2` in the variance, and the limits statistically linearised
-        (:func:`~swarmssm.models.speed_limits.limited_moments`) with the covariance of the next
+        (``limited_moments``) with the covariance of the next
         velocity. Without one, walls and noise are those of the given states, and the limits are
         linearised with the noise alone.
 

@@ -10,10 +10,10 @@ from torch import Tensor, nn
 
 from swarmssm.errors import InputError
 from swarmssm.models.batch import SwarmBatch
+from swarmssm.models.distributions.kinematic import Kinematic
+from swarmssm.models.distributions.speed_limits import SpeedLimited
 from swarmssm.models.emissions.student import DiagonalStudentT
-from swarmssm.models.kinematic import Kinematic
 from swarmssm.models.markov import StepInputs
-from swarmssm.models.speed_limits import SpeedLimited
 from swarmssm.models.transitions.base import KinematicTransition, Transition
 
 __all__ = ["TypedKinematicTransition", "TypedTransition", "displaced", "typed"]

@@ -6,8 +6,8 @@ from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 
 from swarmssm.analysis.plots.frames import FramePicture, length_of
+from swarmssm.analysis.plots.scenes import scenes_of
 from swarmssm.analysis.plots.style import individual_colours
-from swarmssm.analysis.scenes import scenes_of
 from swarmssm.tracks import make_tracks
 
 BOX = (-10.0, 10.0, -10.0, 10.0)

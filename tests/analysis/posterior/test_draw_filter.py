@@ -13,7 +13,7 @@ from swarmssm.analysis.posterior.draw_filter import filter_draws
 from swarmssm.inference.data import Preparation, prepare
 from swarmssm.inference.filtering import collapsed_evidence
 from swarmssm.models.parameters import assign
-from swarmssm.scaling import Scaler
+from swarmssm.tracks.scaling import Scaler
 
 DT, SPACE, STATE = 0.2, 2, 4
 DRAWS = {

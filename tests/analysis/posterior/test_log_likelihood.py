@@ -13,8 +13,8 @@ from swarmssm.errors import InputError
 from swarmssm.inference import fit
 from swarmssm.inference.filtering import collapsed_evidence
 from swarmssm.models.parts import own_parameters
-from swarmssm.splits import Segment
 from swarmssm.tracks import make_tracks
+from swarmssm.tracks.splits import Segment
 
 DRAWS = 4
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from swarmssm.analysis.analyze import analyze
-from swarmssm.analysis.analyzed import Analysis
+from swarmssm.analysis.interpretation.analyze import analyze
+from swarmssm.analysis.interpretation.analyzed import Analysis
 from swarmssm.inference import Fit
 
 MODELS = ("graph-vae", "boids", "constant-velocity", "noise-floor")

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from swarmssm.analysis.analyze import analyze
-from swarmssm.analysis.analyzed import Analysis
+from swarmssm.analysis.interpretation.analyze import analyze
+from swarmssm.analysis.interpretation.analyzed import Analysis
 from swarmssm.analysis.report.analysis_page import analysis_page
 from swarmssm.analysis.report.held_out import own_model, score_rows, score_sentence, shown_models
 

@@ -22,7 +22,7 @@ from swarmssm.models import (
 from swarmssm.models.edges import EdgeState
 from swarmssm.models.edges.pair_features import PairFeatures
 from swarmssm.models.edges.seen import seen_states
-from swarmssm.models.ready import graph_ssm, kernel, with_edges
+from swarmssm.models.presets import graph_ssm, kernel, with_edges
 from swarmssm.models.transitions import LinearForceTransition, TypedKinematicTransition
 
 KINDS = [RelationalEdges, DynamicRelationalEdges]

@@ -6,8 +6,8 @@ import torch
 
 from swarmssm.errors import InputError
 from swarmssm.models import StepInputs
+from swarmssm.models.distributions.speed_limits import SpeedLimited
 from swarmssm.models.emissions.student import DiagonalStudentT
-from swarmssm.models.speed_limits import SpeedLimited
 from swarmssm.models.transitions import (
     BoidsTransition,
     LinearForceTransition,

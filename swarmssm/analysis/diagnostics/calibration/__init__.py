@@ -1,0 +1,20 @@
+"""Whether posteriors are as wide as they should be: simulation-based calibration."""
+
+from swarmssm.analysis.diagnostics.calibration.many_runs import Counted
+from swarmssm.analysis.diagnostics.calibration.ranks import (
+    calibration_of_ranks,
+    calibration_sentence,
+    calibration_table,
+)
+from swarmssm.analysis.diagnostics.calibration.simulation import simulation_based_calibration
+from swarmssm.analysis.diagnostics.calibration.uniformity import ecdf_band, uniformity_p_value
+
+__all__ = [
+    "Counted",
+    "calibration_of_ranks",
+    "calibration_sentence",
+    "calibration_table",
+    "ecdf_band",
+    "simulation_based_calibration",
+    "uniformity_p_value",
+]

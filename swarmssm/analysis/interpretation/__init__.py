@@ -1,0 +1,1 @@
+"""What a fitted swarm means: forces, kernels, force maps, influence, latents."""

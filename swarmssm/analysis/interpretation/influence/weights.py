@@ -1,0 +1,125 @@
+"""How much each individual counts: the posterior of weights that a model gives to individuals."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+import xarray as xr
+
+from swarmssm.analysis.interpretation.forces.frames import QUANTILES
+from swarmssm.analysis.interpretation.influence.ranks import rank_probabilities
+from swarmssm.inference import Fit
+from swarmssm.models import StateSpaceModel
+from swarmssm.tracks import Array
+
+__all__ = ["WEIGHT_SAMPLES", "label_weights", "mean_over", "pair_weights"]
+
+#: Draws of the weights of individuals, of which there are more than of paths: they cost little.
+WEIGHT_SAMPLES = 4000
+
+
+def pair_weights(
+    fit: Fit, samples: int = WEIGHT_SAMPLES, seed: int | torch.Generator = 0
+) -> tuple[Array | None, Array | None]:
+    """Return the weights that a model gives to individuals, in draws of its parameters.
+
+    Parameters
+    ----------
+    fit
+        A fit.
+    samples
+        Number of draws.
+    seed
+        Seed or generator.
+
+    Returns
+    -------
+    Influence, ``(sample, individual)`` or ``(sample, individual, neighbor)``, and responsiveness,
+    ``(sample, individual)``; ``None`` where the model has none. Those that are fixed are there
+    once.
+    """
+    if not isinstance(fit.model, StateSpaceModel):
+        return None, None
+    transition = fit.model.transition
+    names = [
+        name
+        for name in ("influence", "responsiveness")
+        if getattr(transition, f"has_{name}", False)
+    ]
+    if not names:
+        return None, None
+    drawn = fit.parameters(samples, seed)
+    found: dict[str, Array] = {}
+    for name in names:
+        if f"transition.{name}" in drawn:
+            found[name] = drawn[f"transition.{name}"].to_numpy().astype(np.float64)
+        else:
+            found[name] = getattr(transition, name).detach().double().numpy()[None]
+    return found.get("influence"), found.get("responsiveness")
+
+
+def label_weights(sent: Array | None, received: Array | None, names: Sequence[str]) -> xr.Dataset:
+    """Return draws of weights with labels, relative to their means.
+
+    Parameters
+    ----------
+    sent, received
+        What :func:`pair_weights` returns.
+    names
+        Of the individuals.
+
+    Returns
+    -------
+    Those variables of ``influence`` that are of weights; empty if
+    there are none.
+    """
+    if sent is None and received is None:
+        return xr.Dataset()
+    number = len(names)
+    others = ~np.eye(number, dtype=bool)
+    pairs = np.ones((1, 1, 1))
+    if sent is not None:
+        pairs = pairs * (sent if sent.ndim == 3 else sent[:, None, :])
+    if received is not None:
+        pairs = pairs * received[:, :, None]
+    pairs = np.where(others, pairs, np.nan)
+    pairs = pairs / np.nanmean(pairs, axis=(1, 2), keepdims=True)
+    data: dict[str, Any] = {
+        "pair_weight": (
+            ("quantile", "individual", "neighbor"),
+            np.quantile(pairs, QUANTILES, axis=0),
+            {"units": "1", "long_name": "weight with which individual counts neighbor"},
+        )
+    }
+    over = ("sample", "individual")
+    if sent is not None:
+        own = sent if sent.ndim == 2 else mean_over(np.where(others, sent, np.nan), 1)
+        own = own / own.mean(1, keepdims=True)
+        data["weight"] = (over, own, {"units": "1", "long_name": "weight of individual for others"})
+        data["weight_rank_probability"] = (
+            ("individual", "rank"),
+            rank_probabilities(own),
+            {"units": "1", "long_name": "probability of the rank by weight"},
+        )
+    if received is not None or (sent is not None and sent.ndim == 3):
+        own = mean_over(pairs, 2) if received is None else received
+        own = own / own.mean(1, keepdims=True)
+        data["responsiveness"] = (
+            over,
+            own,
+            {"units": "1", "long_name": "weight of others for individual"},
+        )
+    labels = [str(name) for name in names]
+    ranks = np.arange(1, number + 1)
+    return xr.Dataset(data, {"individual": labels, "neighbor": labels, "rank": ranks})
+
+
+def mean_over(values: Array, axis: int) -> Array:
+    """Return the mean over those that are known, NaN where none is."""
+    known = np.isfinite(values)
+    number = known.sum(axis)
+    total = np.where(known, values, 0.0).sum(axis)
+    mean: Array = np.full(total.shape, np.nan)
+    np.divide(total, number, out=mean, where=number > 0)
+    return mean

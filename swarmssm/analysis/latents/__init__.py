@@ -1,8 +1,0 @@
-"""What the latent states of a model hold of the forces."""
-
-from swarmssm.analysis.latents.alignment import compare_latents, latent_force_alignment
-
-__all__ = [
-    "compare_latents",
-    "latent_force_alignment",
-]

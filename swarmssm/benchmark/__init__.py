@@ -1,0 +1,42 @@
+"""Every method on the same tracks, with the same scores, in one table."""
+
+from swarmssm.benchmark.measuring import FLOOR, METHODS, Measured, measure
+from swarmssm.benchmark.own import OWN
+from swarmssm.benchmark.results import (
+    Results,
+    collect,
+    leader_sentence,
+    short_rows,
+    shown_rows,
+)
+from swarmssm.benchmark.running import Job, jobs_of, run_jobs
+from swarmssm.benchmark.task import HORIZONS, Task, make_task
+from swarmssm.benchmark.writing import (
+    benchmark_page,
+    check_outputs,
+    markdown,
+    write_results,
+)
+
+__all__ = [
+    "FLOOR",
+    "HORIZONS",
+    "METHODS",
+    "OWN",
+    "Job",
+    "Measured",
+    "Results",
+    "Task",
+    "benchmark_page",
+    "check_outputs",
+    "collect",
+    "jobs_of",
+    "leader_sentence",
+    "make_task",
+    "markdown",
+    "measure",
+    "run_jobs",
+    "short_rows",
+    "shown_rows",
+    "write_results",
+]

@@ -1,0 +1,9 @@
+"""Ready-made models: functions of the tracks' scales and plain options."""
+
+from swarmssm.models.presets.boids import boids
+from swarmssm.models.presets.edges import EDGES, with_edges
+from swarmssm.models.presets.graph import graph_ssm
+from swarmssm.models.presets.kernel import kernel
+from swarmssm.models.presets.linear import linear
+
+__all__ = ["EDGES", "boids", "graph_ssm", "kernel", "linear", "with_edges"]
