@@ -49,7 +49,7 @@ from torch import Tensor
 import swarmssm
 from swarmssm.graphs import EdgeList, GraphRule
 from swarmssm.inference.guides import SmoothingGuide
-from swarmssm.inference.guides.following import FollowingGuide
+from swarmssm.inference.guides.following import ModelInformedGuide
 from swarmssm.inference.training import quiet_pyro
 from swarmssm.models import InitialStates, PositionEmission, Scales, StateSpaceModel, SwarmBatch
 from swarmssm.models.transitions import GraphTransition
@@ -101,7 +101,7 @@ def scales_for(batch: SwarmBatch) -> Scales:
 class Posterior:
     """The guide's own factors, taken from what it is made of."""
 
-    def __init__(self, guide: FollowingGuide, batch: SwarmBatch) -> None:
+    def __init__(self, guide: ModelInformedGuide, batch: SwarmBatch) -> None:
         known = guide.setting(batch, {})
         parts = known.sightings, known.law, known.start, batch.present
         mean = guide.chain.mean(*parts)

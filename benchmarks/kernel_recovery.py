@@ -19,7 +19,7 @@ import torch
 import xarray as xr
 
 from swarmssm import inference
-from swarmssm.analysis.posterior.accelerations import motion_of, posterior_paths
+from swarmssm.analysis.posterior.accelerations import acceleration_model, posterior_paths
 from swarmssm.inference import Fit
 from swarmssm.simulate import simulate_boids
 
@@ -56,7 +56,7 @@ def fitted(name: str, model: str, training: xr.Dataset, folder: Path, **options:
 def force_scores(fit: Fit, tracks: xr.Dataset, draws: int) -> dict[str, float]:
     """Return R^2 of the posterior-mean force of each term."""
     paths = posterior_paths(fit, tracks, draws)
-    motion = motion_of(fit)
+    motion = acceleration_model(fit)
     mean = torch.zeros(())
     for states, values in zip(paths.states, paths.parameters, strict=True):
         mean = mean + motion.forces(states, paths.adjacency, paths.present, values) / draws

@@ -148,7 +148,7 @@ def one(job: tuple[str, int]) -> dict[str, object]:
 
 def decide(row: dict[str, object], rate: float) -> dict[str, object]:
     """Return what is declared of a swarm: the leader by either rule, and loners."""
-    from swarmssm.analysis.interpretation.influence.leaders import find_leader, find_loners
+    from swarmssm.analysis.interpretation.influence.leaders import find_isolated, find_leader
     from swarmssm.analysis.interpretation.influence.weights import label_weights
 
     rng = np.random.default_rng(row["seed"])
@@ -156,7 +156,7 @@ def decide(row: dict[str, object], rate: float) -> dict[str, object]:
     names = [str(place) for place in range(NUMBER)]
     dataset = label_weights(drawn[:, :NUMBER], drawn[:, NUMBER:], names)
     found = {rule: find_leader(dataset, rate, against=rule) for rule in ("each", "rest")}
-    loners = find_loners(dataset, rate)
+    loners = find_isolated(dataset, rate)
     return {
         "each": found["each"].attrs["leader"],
         "rest": found["rest"].attrs["leader"],

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from swarmssm.analysis.diagnostics.calibration.many_runs import Counted
+from swarmssm.analysis.diagnostics.calibration.many_runs import PieceProgress
 from swarmssm.analysis.diagnostics.calibration.ranks import calibration_sentence
 from swarmssm.analysis.diagnostics.calibration.simulation import simulation_based_calibration
 
@@ -38,7 +38,7 @@ STARTS = {
 }
 
 
-def say(counted: Counted) -> None:
+def say(counted: PieceProgress) -> None:
     """Print how far it has come."""
     print(f"{counted.done} of {counted.total}, {counted.failed} failed", flush=True)
 

@@ -17,7 +17,7 @@ from swarmssm.analysis.diagnostics.checks import sentence as check_sentence
 from swarmssm.analysis.diagnostics.recovery import recovery_study
 from swarmssm.analysis.interpretation.analyze import analyze
 from swarmssm.analysis.interpretation.analyzed import Analysis
-from swarmssm.analysis.interpretation.findings import Finding, findings, findings_table
+from swarmssm.analysis.interpretation.findings import Summary, findings, findings_table
 from swarmssm.analysis.interpretation.forces import (
     force_agreement,
     force_map,
@@ -28,7 +28,7 @@ from swarmssm.analysis.interpretation.forces import (
     true_forces,
 )
 from swarmssm.analysis.interpretation.inferred_edges import inferred_edges
-from swarmssm.analysis.interpretation.influence import find_leader, find_loners, leadership_delays
+from swarmssm.analysis.interpretation.influence import find_isolated, find_leader, leadership_delays
 from swarmssm.analysis.interpretation.kernels import (
     interaction_kernels,
     kernel_agreement,
@@ -42,9 +42,9 @@ from swarmssm.analysis.posterior import (
     window_log_likelihood,
 )
 from swarmssm.analysis.posterior.accelerations import (
-    Motion,
+    AccelerationModel,
     PosteriorPaths,
-    motion_of,
+    acceleration_model,
     posterior_paths,
 )
 from swarmssm.analysis.report import (
@@ -74,13 +74,14 @@ from swarmssm.analysis.scoring.thesis import FOOTNOTE as THESIS_FOOTNOTE
 __all__ = [
     "STATISTICS",
     "THESIS_FOOTNOTE",
+    "AccelerationModel",
     "Analysis",
     "Evaluation",
-    "Finding",
-    "Motion",
     "PosteriorPaths",
     "Statistic",
+    "Summary",
     "Swarm",
+    "acceleration_model",
     "analysis_page",
     "analyze",
     "backtest",
@@ -91,8 +92,8 @@ __all__ = [
     "comparison_table",
     "edge_table",
     "evaluate",
+    "find_isolated",
     "find_leader",
-    "find_loners",
     "findings",
     "findings_table",
     "force_agreement",
@@ -111,7 +112,6 @@ __all__ = [
     "latent_force_alignment",
     "leadership_delays",
     "loo_pit",
-    "motion_of",
     "one_step_pit",
     "paired_difference",
     "pointwise_log_likelihood",

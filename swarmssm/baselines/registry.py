@@ -6,11 +6,11 @@ from swarmssm.baselines.base import Baseline
 from swarmssm.errors import InputError
 from swarmssm.models.registry import find_part
 
-__all__ = ["RIVALS", "UNSEEDED", "rival"]
+__all__ = ["BASELINES", "UNSEEDED", "rival"]
 
 PLACE = "swarmssm.baselines"
 #: Name -> module and class.
-RIVALS = {
+BASELINES = {
     "stay-put": "stay_put:StayPut",
     "constant-velocity": "constant_velocity:ConstantVelocity",
     "kalman": "kalman:KalmanVelocity",
@@ -58,7 +58,7 @@ def rival(name: str) -> type[Baseline]:
     Parameters
     ----------
     name
-        One of :data:`RIVALS`, or ``module:attribute`` of your own subclass of
+        One of :data:`BASELINES`, or ``module:attribute`` of your own subclass of
         :class:`~swarmssm.baselines.Baseline`. Importing a module runs its code.
 
     Raises
@@ -66,12 +66,12 @@ def rival(name: str) -> type[Baseline]:
     InputError
         If there is no such baseline, or a library that it needs is not installed.
     """
-    if name not in RIVALS:
-        own = find_part(name, dict.fromkeys(RIVALS), "method")
+    if name not in BASELINES:
+        own = find_part(name, dict.fromkeys(BASELINES), "method")
         if not (isinstance(own, type) and issubclass(own, Baseline)):
             raise InputError(f"method: {name} is no Baseline. Make it a subclass of Baseline.")
         return own
-    module, _, attribute = RIVALS[name].partition(":")
+    module, _, attribute = BASELINES[name].partition(":")
     try:
         found: type[Baseline] = getattr(importlib.import_module(f"{PLACE}.{module}"), attribute)
     except ModuleNotFoundError as error:

@@ -15,7 +15,7 @@ from swarmssm.analysis.scoring.forecasters import Forecaster, ModelForecaster
 from swarmssm.analysis.scoring.free_runs import collective_scores
 from swarmssm.analysis.scoring.subject import subject_of
 from swarmssm.baselines.base import Baseline
-from swarmssm.baselines.registry import RIVALS, rival
+from swarmssm.baselines.registry import BASELINES, rival
 from swarmssm.baselines.training import Training
 from swarmssm.benchmark.edges import edge_scores
 from swarmssm.benchmark.own import OWN
@@ -30,7 +30,7 @@ __all__ = ["FLOOR", "METHODS", "Measured", "measure"]
 Rows = npt.NDArray[np.int64]
 FLOOR = TrueRule.name
 #: All that can be compared, in the order of tables before they are sorted.
-METHODS = (*RIVALS, *OWN)
+METHODS = (*BASELINES, *OWN)
 MEGABYTE = 1024.0 * (1024.0 if sys.platform == "darwin" else 1.0)
 
 
@@ -125,7 +125,7 @@ def _fitted(
         forecaster = ModelForecaster(subject, "decoder")
         about = {
             "title": method.title,
-            "told": method.is_told(task),
+            "told": method.knows_true_form(task),
             "parameters": fit.num_parameters,
         }
         return forecaster, about, fit

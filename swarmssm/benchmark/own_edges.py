@@ -7,7 +7,7 @@ from typing import Any
 
 from swarmssm.benchmark.own_method import OwnMethod, by_trial
 from swarmssm.benchmark.task import Task
-from swarmssm.inference import Fit, fit, held_law
+from swarmssm.inference import Fit, fit, fixed_transition
 
 __all__ = ["InferredEdgesMethod"]
 
@@ -24,7 +24,7 @@ class InferredEdgesMethod(OwnMethod):
     """Edges inferred under a law of motion that is held.
 
     Laws of motion are fitted on some graphs by distance first. The one with the best evidence lower
-    bound in the validation part is held (:func:`swarmssm.inference.held_law`), and edges that may
+    bound in the validation part is held (``fixed_transition``), and edges that may
     change in each frame are learned under it. The graph of the task is not looked at.
 
     Attributes
@@ -61,7 +61,11 @@ class InferredEdgesMethod(OwnMethod):
         steps = _affordable(SHARE * budget / len(rules), lambda n: learn(graph=rules[-1], steps=n))
         laws = [learn(graph=rule, steps=steps) for rule in rules]
         best = min(laws, key=lambda law: float(law.history["validation_loss"].min()))
-        edges = {"edges": "dynamic-relational", "priors": held_law(best), **self.edge_settings}
+        edges = {
+            "edges": "dynamic-relational",
+            "priors": fixed_transition(best),
+            **self.edge_settings,
+        }
         pilot = _cost(lambda n: learn(**edges, steps=n))
         left = budget - (time.process_time() - began)
         return learn(**edges, steps=_steps(left, *pilot))

@@ -42,7 +42,7 @@ class OwnMethod:
     noisy_settings: dict[str, Any] = field(default_factory=dict)
     told: bool = False
 
-    def is_told(self, task: Task) -> bool:
+    def knows_true_form(self, task: Task) -> bool:
         """Return whether the model holds the very forms that the tracks were made by."""
         law = json.loads(task.tracks.attrs.get("simulation", "{}")).get("law")
         return self.told and law == "boids"

@@ -11,13 +11,20 @@ from swarmssm.benchmark.measuring import Measured
 from swarmssm.errors import InputError
 from swarmssm.files import write_beside
 
-__all__ = ["Part", "open_folder", "part_path", "read_part", "write_failure", "write_measured"]
+__all__ = [
+    "CachedResult",
+    "open_folder",
+    "part_path",
+    "read_part",
+    "write_failure",
+    "write_measured",
+]
 
 TASK = "task.json"
 ARRAYS = ("crps", "log_score", "squared_error")
 
 
-class Part:
+class CachedResult:
     """What a file holds: a measurement, or the reason why there is none."""
 
     def __init__(self, measured: Measured | None, reason: str) -> None:
@@ -62,14 +69,14 @@ def write_failure(path: Path, reason: str) -> None:
     _write(path, {"facts": {}, "reason": reason}, {})
 
 
-def read_part(path: Path) -> Part | None:
+def read_part(path: Path) -> CachedResult | None:
     """Read a file; ``None`` if it is not there, or was not written by :func:`write_measured`."""
     try:
         with np.load(path) as file:
             told = json.loads(str(file["told"]))
             if told["reason"]:
-                return Part(None, str(told["reason"]))
-            return Part(Measured(told["facts"], *(file[name] for name in ARRAYS)), "")
+                return CachedResult(None, str(told["reason"]))
+            return CachedResult(Measured(told["facts"], *(file[name] for name in ARRAYS)), "")
     except (OSError, ValueError, KeyError):
         return None
 

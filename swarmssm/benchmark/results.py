@@ -15,7 +15,7 @@ from swarmssm.analysis.scoring.densities import mean_scores
 from swarmssm.analysis.scoring.table import NOTHING, format_number
 from swarmssm.benchmark.measuring import FLOOR, Measured
 from swarmssm.benchmark.own import OWN
-from swarmssm.benchmark.parts import Part
+from swarmssm.benchmark.parts import CachedResult
 from swarmssm.benchmark.running import Job
 from swarmssm.benchmark.task import Task
 from swarmssm.tracks import Array
@@ -67,7 +67,7 @@ class Results:
         ]
 
 
-def collect(task: Task, parts: Mapping[Job, Part]) -> Results:
+def collect(task: Task, parts: Mapping[Job, CachedResult]) -> Results:
     """Put measurements together.
 
     Parameters
@@ -77,7 +77,7 @@ def collect(task: Task, parts: Mapping[Job, Part]) -> Results:
     parts
         From :func:`swarmssm.benchmark.running.run_jobs`.
     """
-    by_method: dict[str, list[Part]] = {}
+    by_method: dict[str, list[CachedResult]] = {}
     for job, part in parts.items():
         by_method.setdefault(job.method, []).append(part)
     rows, arrays = {}, {}

@@ -11,7 +11,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 from swarmssm.benchmark.parts import (
-    Part,
+    CachedResult,
     open_folder,
     part_path,
     read_part,
@@ -83,7 +83,7 @@ def run_jobs(
     seconds: float | None = None,
     processes: int = 1,
     progress: Callable[[int, int, str], None] | None = None,
-) -> dict[Job, Part]:
+) -> dict[Job, CachedResult]:
     """Measure what is not measured yet, and the noise floor of tracks of which the rule is known.
 
     Each job runs in a process of its own on one thread, so that its time and memory are its own and
@@ -117,7 +117,7 @@ def run_jobs(
         raise InputError(f"jobs: it must be at least 1, and it is {processes}.")
     open_folder(folder, {"task": json.loads(task.digest()), "seconds": seconds})
     jobs = [*([FLOOR_JOB] if has_floor(task) else []), *jobs]
-    done: dict[Job, Part] = {}
+    done: dict[Job, CachedResult] = {}
     for job in jobs:
         part = read_part(part_path(folder, job.method, job.seed))
         if part is not None and part.measured is not None:

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from swarmssm.analysis.plots.benchmark import plot_benchmark
-from swarmssm.analysis.report.embed import as_svg, house_style
+from swarmssm.analysis.report.embed import as_svg, report_style
 from swarmssm.analysis.report.page import render
 from swarmssm.benchmark.measuring import FLOOR
 from swarmssm.benchmark.own import OWN
@@ -55,7 +55,7 @@ def write_results(results: Results, path: Path) -> list[Path]:
         temporary.write_text(markdown(results), encoding="utf-8")
     with write_beside(paths[2], overwrite=True) as temporary:
         temporary.write_text(benchmark_page(results), encoding="utf-8")
-    with house_style():
+    with report_style():
         figure, _ = plot_benchmark(results.errors, _own(results), results.task.fps)
         with write_beside(paths[3], overwrite=True) as temporary:
             figure.savefig(temporary, format="png", dpi=150)
@@ -83,7 +83,7 @@ def _rows(rows: list[dict[str, str]]) -> list[str]:
 
 def benchmark_page(results: Results) -> str:
     """Return the table and the figure as a page that needs no network."""
-    with house_style():
+    with report_style():
         figure, _ = plot_benchmark(results.errors, _own(results), results.task.fps)
         alt = "Squared error of each method over the time ahead; the numbers are in the table."
         picture = as_svg(figure, "errors", alt)

@@ -106,10 +106,10 @@ def animate(
         )
     else:
         from swarmssm.analysis.plots import animation as films
-        from swarmssm.analysis.report.embed import house_style
+        from swarmssm.analysis.report.embed import report_style
 
         pace = {".gif": films.FASTEST_GIF}.get(out.suffix.lower(), films.FASTEST)
-        with house_style(), piece_progress(str(out), "frames") as show:
+        with report_style(), piece_progress(str(out), "frames") as show:
             film = films.animate(
                 tracks,
                 predicted,

@@ -195,7 +195,7 @@ def _print_fit(fitted: "Fit") -> None:
 
 def _hold(law: Path, model: str, edges: str, given: dict[str, Any]) -> None:
     """Put the law of motion of a run into the settings of a fit."""
-    from swarmssm.inference import Fit, held_law
+    from swarmssm.inference import Fit, fixed_transition
 
     if edges not in RELATIONAL:
         raise InputError(
@@ -212,7 +212,7 @@ def _hold(law: Path, model: str, edges: str, given: dict[str, Any]) -> None:
     own = given["priors"]
     held = {
         full: value
-        for full, value in held_law(found).items()
+        for full, value in fixed_transition(found).items()
         if not any(full == name or full.endswith(f".{name}") for name in own)
     }
     given["priors"] = {**held, **own}

@@ -13,7 +13,7 @@ import typer
 from swarmssm.cli.console import short
 
 if TYPE_CHECKING:
-    from swarmssm.analysis.diagnostics.calibration.many_runs import Counted
+    from swarmssm.analysis.diagnostics.calibration.many_runs import PieceProgress
     from swarmssm.inference import Progress
 
 __all__ = ["counting_progress", "piece_progress", "stages", "training_progress"]
@@ -42,7 +42,7 @@ def training_progress(label: str) -> Iterator[Callable[["Progress"], None]]:
 @contextmanager
 def counting_progress(
     label: str, things: str = "data sets"
-) -> Iterator[Callable[["Counted"], None]]:
+) -> Iterator[Callable[["PieceProgress"], None]]:
     """Show how many things are done, such as simulated data sets."""
     if sys.stderr.isatty():
         with _bar(label) as show:
@@ -52,7 +52,7 @@ def counting_progress(
     began = time.monotonic()
     first: int | None = None
 
-    def line(now: "Counted") -> None:
+    def line(now: "PieceProgress") -> None:
         nonlocal first
         begins = first is None
         first = now.done if first is None else first
@@ -71,13 +71,13 @@ def counting_progress(
 @contextmanager
 def piece_progress(label: str, things: str) -> Iterator[Callable[[int, int], None]]:
     """Show how many of how many things are done, told as two numbers."""
-    from swarmssm.analysis.diagnostics.calibration.many_runs import Counted
+    from swarmssm.analysis.diagnostics.calibration.many_runs import PieceProgress
 
     with counting_progress(label, things) as show:
-        yield lambda done, total: show(Counted(done, total, 0))
+        yield lambda done, total: show(PieceProgress(done, total, 0))
 
 
-def _failed(now: "Counted") -> str:
+def _failed(now: "PieceProgress") -> str:
     return f"{now.failed} failed" if now.failed else ""
 
 

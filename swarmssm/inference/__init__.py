@@ -13,7 +13,7 @@ from swarmssm.inference.guides import (
     SmoothingGuide,
     find_guide,
 )
-from swarmssm.inference.held import held_law
+from swarmssm.inference.held import fixed_transition
 from swarmssm.inference.laplace import Laplace, laplace
 from swarmssm.inference.settings import FitSettings
 from swarmssm.inference.training import Progress
@@ -33,6 +33,6 @@ __all__ = [
     "find_guide",
     "fit",
     "fit_collapsed",
-    "held_law",
+    "fixed_transition",
     "laplace",
 ]

@@ -71,7 +71,7 @@ class Collapsed:
             with windows_plate(batch):
                 prior = edges.prior(batch)
                 types = pyro.sample("edges", prior)
-                batch = edges.put(batch, types)
+                batch = edges.with_edge_types(batch, types)
                 term = self._edge_term(edges, batch, values, types, prior)
                 if term is not None:
                     pyro.factor("edge_conditionals", term)

@@ -15,7 +15,7 @@ from swarmssm.errors import InputError, WorkError
 from swarmssm.inference.data import Prepared, prepare
 from swarmssm.inference.guides import OneStepGuide
 from swarmssm.inference.prediction import (
-    Beginning,
+    InitialCondition,
     OneStepPredictor,
     Predictor,
     StateSpacePredictor,
@@ -23,7 +23,7 @@ from swarmssm.inference.prediction import (
     seeded,
 )
 from swarmssm.inference.run_folder import Run, load_run, save_run
-from swarmssm.inference.starting import fullest_frames, last_frames
+from swarmssm.inference.starting import last_frames, most_complete_frames
 from swarmssm.models import InferredEdges, OneStepModel, StateSpaceModel
 from swarmssm.models.parts import own_parameters
 from swarmssm.tracks import MAX_COORDINATE, Array, make_tracks
@@ -330,7 +330,7 @@ class Fit(Run):
         Dataset with ``position`` and ``velocity`` ``([draw,] trial, time, space, individual)``,
         ``edge_probability ([draw,] trial, time, individual, neighbor)``, and ``time`` going on
         from the history. Each trial is continued from its last frame with anybody in it; who is
-        just out of sight there is carried on, see :func:`swarmssm.inference.starting.carry_on`, who
+        just out of sight there is carried on, see ``extrapolate_missing``, who
         has been so for longer stays NaN.
 
         Raises
@@ -400,7 +400,7 @@ class Fit(Run):
         _check_count("steps", steps, 1)
         _check_count("draws", draws, 0)
         prepared = self.prepare(initial)
-        fullest = fullest_frames(prepared.mask)
+        fullest = most_complete_frames(prepared.mask)
         start, path = self._run_from(prepared, fullest, steps, draws, seed, edges)
         runs = max(draws, 1)
         states = path.states.reshape(runs, *path.states.shape[-4:]).to(torch.float64)
@@ -449,7 +449,7 @@ class Fit(Run):
         draws: int,
         seed: int | torch.Generator,
         edges: str,
-    ) -> tuple[Beginning, Trajectory]:
+    ) -> tuple[InitialCondition, Trajectory]:
         """Run from one row of each trial."""
         predictor = self.predictor(edges)
         trials = torch.arange(len(rows))

@@ -7,13 +7,13 @@ from swarmssm.inference.fitted import Fit
 from swarmssm.models import StateSpaceModel
 from swarmssm.models.parameters import priors_of
 
-__all__ = ["held_law"]
+__all__ = ["fixed_transition"]
 
 #: Draws of which the middle is taken.
 DRAWS = 1000
 
 
-def held_law(law: Fit) -> dict[str, Any]:
+def fixed_transition(law: Fit) -> dict[str, Any]:
     """Return what a fit found of its law of motion, as priors that hold it there.
 
     Who acts on whom and by which law cannot well be learned at once: under random edges every

@@ -33,7 +33,7 @@ from swarmssm.files import file_digest, write_beside
 from swarmssm.graphs import GraphRule
 from swarmssm.inference.checkpoints import read_tensors, write_tensors
 from swarmssm.inference.data import Preparation
-from swarmssm.inference.guides import GUIDES, SwarmGuide, find_guide, usual_guide
+from swarmssm.inference.guides import GUIDES, SwarmGuide, default_guide, find_guide
 from swarmssm.inference.settings import FitSettings, settings_from
 from swarmssm.models import MODELS, Scales, SwarmModel, find_model
 from swarmssm.models.presets import EDGES, with_edges
@@ -139,7 +139,7 @@ def build_modules(
             model = with_priors(model, settings.priors)
         model = _with_edges(model, settings, scales)
         if settings.guide == "auto":
-            settings = settings.model_copy(update={"guide": usual_guide(settings.model, model)})
+            settings = settings.model_copy(update={"guide": default_guide(settings.model, model)})
         builder = builders.guide or find_guide(settings.guide)
         builder = getattr(builder, "for_model", builder)
         guide = _build(builder, "guide", settings.guide, model, settings.guide_options)

@@ -7,7 +7,7 @@ from swarmssm.graphs import GraphRule
 from swarmssm.inference.data import Prepared
 from swarmssm.tracks.scaling import Scaler
 
-__all__ = ["MAX_CARRY", "carry_on", "fullest_frames", "last_frames"]
+__all__ = ["MAX_CARRY", "extrapolate_missing", "last_frames", "most_complete_frames"]
 
 #: Frames for which an individual that is out of sight is carried on with its last velocity.
 MAX_CARRY = 10
@@ -28,7 +28,7 @@ def last_frames(mask: torch.Tensor) -> torch.Tensor:
     return torch.where(anybody, rows, -1).amax(-1)
 
 
-def fullest_frames(mask: torch.Tensor) -> torch.Tensor:
+def most_complete_frames(mask: torch.Tensor) -> torch.Tensor:
     """Return each trial's last row in which most individuals were observed: ``(trial,)``."""
     last_frames(mask)
     counts = mask.sum(-1)
@@ -36,7 +36,7 @@ def fullest_frames(mask: torch.Tensor) -> torch.Tensor:
     return torch.where(counts == counts.amax(-1, keepdim=True), rows, -1).amax(-1)
 
 
-def carry_on(
+def extrapolate_missing(
     prepared: Prepared,
     scaler: Scaler,
     rule: GraphRule | None,

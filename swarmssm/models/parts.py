@@ -8,7 +8,7 @@ import pyro
 from pyro.nn import PyroModule
 from torch import nn
 
-__all__ = ["Part", "own_parameters"]
+__all__ = ["LocalPyroModule", "own_parameters"]
 
 
 @contextlib.contextmanager
@@ -33,7 +33,7 @@ def own_parameters(*modules: nn.Module) -> Iterator[None]:
         yield
 
 
-class Part(PyroModule):  # type: ignore[misc]
+class LocalPyroModule(PyroModule):  # type: ignore[misc]
     """A Pyro module that makes no statement when a network in it is read.
 
     Where Pyro keeps parameters in a store of its own, reading an ordinary module out of a

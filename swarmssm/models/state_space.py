@@ -247,15 +247,15 @@ class StateSpaceModel(SwarmModel):
             if isinstance(self.edges, InferredEdges):
                 prior = self.edges.prior(batch)
                 drawn = prior, pyro.sample("edges", prior)
-                batch = self.edges.put(batch, drawn[1])
+                batch = self.edges.with_edge_types(batch, drawn[1])
             chain = self.chain(batch, values)
             if self.emission is None:
                 self._check_features(batch, self.state_dim)
                 states: torch.Tensor = pyro.sample("states", chain, obs=batch.observations)
-                self._teach_edges(chain, states, drawn)
+                self._add_edge_learning_term(chain, states, drawn)
                 return states
             states = pyro.sample("states", chain)
-            self._teach_edges(chain, states, drawn)
+            self._add_edge_learning_term(chain, states, drawn)
             observed = self.emission(states)
             if len(observed.event_shape) != 1:
                 raise InputError(
@@ -268,7 +268,7 @@ class StateSpaceModel(SwarmModel):
             pyro.sample("observations", observed, obs=batch.observations)
         return states
 
-    def _teach_edges(
+    def _add_edge_learning_term(
         self,
         chain: MarkovChain,
         states: torch.Tensor,

@@ -8,7 +8,7 @@ from swarmssm import inference, simulate
 from swarmssm.analysis import analysis_page, analyze, inferred_edges, plots, to_inference_data
 from swarmssm.analysis.interpretation import influence
 from swarmssm.analysis.interpretation.inferred_graph import law_graph, step_inputs
-from swarmssm.analysis.posterior.accelerations import motion_of, posterior_paths
+from swarmssm.analysis.posterior.accelerations import acceleration_model, posterior_paths
 
 KINDS = ("relational", "dynamic-relational")
 
@@ -52,7 +52,7 @@ def sure(fit):
 
 def moved(fit, tracks, graph, states, present):
     """Return what everybody's acceleration changes by if the first individual stands elsewhere."""
-    motion = motion_of(fit)
+    motion = acceleration_model(fit)
     away = states.clone()
     away[:, :, 0, :2] += 0.3
     with torch.no_grad():

@@ -15,7 +15,7 @@ from swarmssm.benchmark import (
     shown_rows,
     write_results,
 )
-from swarmssm.benchmark.parts import Part
+from swarmssm.benchmark.parts import CachedResult
 from swarmssm.benchmark.thesis_tables import thesis_table
 
 from .conftest import straight
@@ -42,14 +42,14 @@ def measured(task, error, *, told=False, crps=1.0, **more):
 @pytest.fixture(scope="module")
 def results(task):
     parts = {
-        Job("lstm", 0): Part(measured(task, 1.0, crps=4.0), ""),
-        Job("lstm", 1): Part(measured(task, 3.0, crps=6.0), ""),
-        Job("graph-vae", 0): Part(measured(task, 7.0, crps=8.0, amd=2.0, avd=0.5), ""),
-        Job("stay-put", 0): Part(measured(task, 5.0, crps=9.0), ""),
-        Job("kernel", 0): Part(measured(task, 1.5, crps=3.0), ""),
-        Job("boids", 0): Part(measured(task, 0.5, crps=0.5, told=True), ""),
-        Job("sindy-pi", 0): Part(None, "It | failed."),
-        Job("noise-floor", 0): Part(measured(task, 1.0, told=True), ""),
+        Job("lstm", 0): CachedResult(measured(task, 1.0, crps=4.0), ""),
+        Job("lstm", 1): CachedResult(measured(task, 3.0, crps=6.0), ""),
+        Job("graph-vae", 0): CachedResult(measured(task, 7.0, crps=8.0, amd=2.0, avd=0.5), ""),
+        Job("stay-put", 0): CachedResult(measured(task, 5.0, crps=9.0), ""),
+        Job("kernel", 0): CachedResult(measured(task, 1.5, crps=3.0), ""),
+        Job("boids", 0): CachedResult(measured(task, 0.5, crps=0.5, told=True), ""),
+        Job("sindy-pi", 0): CachedResult(None, "It | failed."),
+        Job("noise-floor", 0): CachedResult(measured(task, 1.0, told=True), ""),
     }
     return collect(task, parts)
 
@@ -100,7 +100,7 @@ def test_the_thesiss_table_is_done_again(results, task):
     assert rows[1]["MSE (4.2)"] == "–"
     assert caption in markdown(results)
     assert caption in benchmark_page(results)
-    alone = collect(task, {Job("lstm", 0): Part(measured(task, 1.0), "")})
+    alone = collect(task, {Job("lstm", 0): CachedResult(measured(task, 1.0), "")})
     assert thesis_table(alone) == ("", [])
 
 
@@ -114,7 +114,9 @@ def test_files_stand_beside_each_other(results, tmp_path):
 
 
 def test_a_table_of_failures_can_be_written(task, tmp_path):
-    results = collect(task, {Job("lstm", 0): Part(None, "No."), Job("ar1", 0): Part(None, "No.")})
+    results = collect(
+        task, {Job("lstm", 0): CachedResult(None, "No."), Job("ar1", 0): CachedResult(None, "No.")}
+    )
     text = markdown(results)
     assert "2 methods, of which 2 failed" in text
     write_results(results, tmp_path / "t.csv")

@@ -79,12 +79,12 @@ def _dense_evidence(model: StateSpaceModel, batch: SwarmBatch) -> torch.Tensor:
             law = model.transition.linearize(mean.reshape(1, individuals, -1), inputs)
             noise = torch.linalg.eigh(law.noise[0])
             half = noise.eigenvectors * noise.eigenvalues.clamp(min=0).sqrt().unsqueeze(-2)
-            stays = (there[t] * there[t - 1]).unsqueeze(-1)
-            comes = (there[t] * (1 - there[t - 1])).unsqueeze(-1)
-            root = stays * (law.jacobian[0].reshape(size, size) @ root)
-            root[:, t * size : (t + 1) * size] = stays * torch.block_diag(*half)
-            root[:, t * size : (t + 1) * size] += comes * start_root
-            mean = stays[:, 0] * law.mean[0].reshape(-1) + comes[:, 0] * start_mean
+            persists = (there[t] * there[t - 1]).unsqueeze(-1)
+            enters = (there[t] * (1 - there[t - 1])).unsqueeze(-1)
+            root = persists * (law.jacobian[0].reshape(size, size) @ root)
+            root[:, t * size : (t + 1) * size] = persists * torch.block_diag(*half)
+            root[:, t * size : (t + 1) * size] += enters * start_root
+            mean = persists[:, 0] * law.mean[0].reshape(-1) + enters[:, 0] * start_mean
             means.append(mean)
             roots.append(root)
         states = torch.stack(means).reshape(times, individuals, -1)

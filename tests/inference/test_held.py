@@ -5,7 +5,7 @@ import pytest
 
 from swarmssm import inference, simulate
 from swarmssm.errors import InputError
-from swarmssm.inference import Fit, held_law
+from swarmssm.inference import Fit, fixed_transition
 from swarmssm.models.parameters import priors_of
 
 OPTIONS = {"observed": "states"}
@@ -23,7 +23,7 @@ def law(tracks):
 
 
 def test_everything_but_the_edges_is_held(law, tracks, tmp_path):
-    held = held_law(law)
+    held = fixed_transition(law)
     assert set(held) == set(priors_of(law.model))
     drawn = law.parameters(1000, seed=0)
     for name, value in held.items():
@@ -58,7 +58,7 @@ def test_edges_that_are_learned_do_not_count(tracks, law):
         window=10,
         steps=1,
     )
-    assert set(held_law(fit)) == set(held_law(law))
+    assert set(fixed_transition(fit)) == set(fixed_transition(law))
 
 
 @pytest.mark.parametrize(
@@ -71,4 +71,4 @@ def test_edges_that_are_learned_do_not_count(tracks, law):
 def test_networks_have_no_law_to_hold(tracks, model, options, said):
     fit = inference.fit(model, tracks=tracks, model_options=options, steps=1)
     with pytest.raises(InputError, match=said):
-        held_law(fit)
+        fixed_transition(fit)

@@ -105,9 +105,9 @@ def test_paths_keep_to_the_surface_and_to_who_is_there(layout):
     states, weights = log_weights(model, guide, batch, {})
     assert states.shape == (2, 8, 3, 4)
     assert (states[~batch.present] == 0).all()
-    stays = batch.present[:, 1:] & batch.present[:, :-1]
+    persists = batch.present[:, 1:] & batch.present[:, :-1]
     moved = states[:, :-1, :, :2] + 0.1 * states[:, 1:, :, 2:]
-    off = (states[:, 1:, :, :2] - moved).abs()[stays]
+    off = (states[:, 1:, :, :2] - moved).abs()[persists]
     assert off.max() < 1e-12
     # Weighing by the posterior of the linearised model costs little where it is nearly linear.
     evidence = collapsed_evidence(model, batch, layout=layout)
@@ -127,7 +127,7 @@ def test_its_moments_are_those_of_the_smoother():
 def test_transitions_whose_noise_it_cannot_draw_are_refused():
     class Half(Transition):
         @property
-        def free_dim(self):
+        def noise_dim(self):
             return 2
 
     model = StateSpaceModel(initial(), Half(4), PositionEmission(2, 0.1))

@@ -393,7 +393,7 @@ class Clamped(Flight):
 
 
 class Heading(Transition):
-    free_dim = 1
+    noise_dim = 1
 
 
 def test_transitions_it_cannot_follow_are_refused():

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from swarmssm.inference.guides.chains import Law, Sightings, Start
+from swarmssm.inference.guides.chains import Law, Observations, Start
 from swarmssm.inference.guides.kinematic_chain import KinematicChain
 from swarmssm.inference.guides.mean_paths import mean_paths
 
@@ -43,7 +43,7 @@ def parts(is_gappy: bool, times: int = TIMES) -> tuple[list[torch.Tensor], torch
 def mean(given: list[torch.Tensor], present: torch.Tensor, is_banded: bool) -> torch.Tensor:
     """Return the mean path."""
     law = Law(given[2], given[3], (given[4], given[5]))
-    all_of_it = Sightings(given[0], given[1]), law, Start(given[6], given[7]), present
+    all_of_it = Observations(given[0], given[1]), law, Start(given[6], given[7]), present
     return CHAIN.mean(*all_of_it) if is_banded else CHAIN.steps(*all_of_it).mean(given[0])
 
 
@@ -85,6 +85,6 @@ def test_what_has_no_mean_is_left_to_others() -> None:
     assert mean(broken, present, True).isnan().any()
     nothing = torch.zeros(1, 3, dtype=torch.float64)
     law = (nothing[:, 1:], nothing[:, 1:] + 1.0, nothing[:, 1:], nothing[:, 1:] + 1.0)
-    comes = torch.tensor([[True, False, False]])
-    stays = torch.ones(1, 2, dtype=torch.bool)
-    assert mean_paths(0.1, (nothing, nothing), (nothing, nothing), law, stays, comes) is None
+    enters = torch.tensor([[True, False, False]])
+    persists = torch.ones(1, 2, dtype=torch.bool)
+    assert mean_paths(0.1, (nothing, nothing), (nothing, nothing), law, persists, enters) is None

@@ -9,7 +9,7 @@ from swarmssm.analysis.diagnostics.calibration.synthetic import FixedModel, stan
 from swarmssm.graphs import GraphRule
 from swarmssm.inference.guides import LinearizedGuide
 from swarmssm.inference.prediction import over_draws, seeded
-from swarmssm.inference.prediction.base import Beginning
+from swarmssm.inference.prediction.base import InitialCondition
 from swarmssm.inference.prediction.over_draws import OverDraws, in_pieces
 from swarmssm.inference.prediction.state_space import StateSpacePredictor
 from swarmssm.tracks.scaling import Scaler
@@ -43,7 +43,7 @@ def beginning_of(predictor, draws=DRAWS):
     graph = (torch.ones(BIRDS, BIRDS) - torch.eye(BIRDS)).expand(draws, ORIGINS, BIRDS, BIRDS)
     with seeded(1):
         values = tuple(predictor.guide.parameters_guide() for _ in range(draws))
-    return Beginning(states, graph, present, states, values)
+    return InitialCondition(states, graph, present, states, values)
 
 
 @pytest.fixture(params=LAWS)

@@ -115,7 +115,7 @@ def first_pair(law, types, batch):
     for kind in (0, 1):
         given = types.clone()
         given[:, :, 0, 1] = torch.eye(2)[kind]
-        put = law.edges.put(batch, given)
+        put = law.edges.with_edge_types(batch, given)
         scores.append(law.chain(put, {}).log_prob(batch.observations))
     return scores[1] - scores[0]
 
@@ -126,7 +126,7 @@ def test_the_encoder_learns_the_conditional_probability_by_hand():
     prior = model.edges.prior(batch)
     logits = torch.zeros(4, 1, 3, 3, 2, requires_grad=True)
     types = model.edges.distribution(logits, prior.pairs).rsample()
-    put = model.edges.put(batch, types)
+    put = model.edges.with_edge_types(batch, types)
     chain = model.chain(put, {})
     term = model.edges.conditional_term(
         chain.transition, batch.observations, batch.mask, chain.inputs, types, prior
@@ -149,7 +149,7 @@ def test_other_gradients_come_through_the_graph(edges, gradient):
         guide = ParameterGuide(model)
         batch = straight()
         law = model.edges.posterior(batch, guide.edges_guide.encoder, model.edges.prior(batch))
-        put = model.edges.put(batch, law.rsample())
+        put = model.edges.with_edge_types(batch, law.rsample())
         values = guide.parameters_guide.median()
         model.chain(put, values).log_prob(batch.observations).sum().backward()
         found = sum(float(w.grad.abs().sum()) for w in guide.edges_guide.encoder.parameters())
@@ -352,7 +352,7 @@ def test_the_collapsed_bound_reaches_the_encoder():
         types = put.edge_types.clone().requires_grad_()
         values = guide.parameters_guide.median()
         model.edges.gradient = "straight-through"
-        evidence = collapsed(model).evidence(model.edges.put(batch, types), values)
+        evidence = collapsed(model).evidence(model.edges.with_edge_types(batch, types), values)
         (gradient,) = torch.autograd.grad(evidence, types)
     assert encoder.isfinite().all()
     assert float(encoder.abs().sum()) > 0

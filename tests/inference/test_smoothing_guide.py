@@ -96,7 +96,7 @@ def coordinates_of(model, batch, one):
         1,
         batch.present[window : window + 1, frames, who : who + 1],
     )
-    free = model.transition.free_dim
+    free = model.transition.noise_dim
 
     def joint(path):
         first, later = path[:4], path[4:].reshape(1, -1, 1, free)
@@ -126,7 +126,7 @@ def test_it_starts_as_the_best_independent_gaussian(make, one, ragged):
     window, who = one
     (frames,) = torch.nonzero(batch.present[window, :, who], as_tuple=True)
     best = torch.linalg.solve(precision, slope)
-    free = model.transition.free(mean)[window, frames[1:], who]
+    free = model.transition.stochastic_features(mean)[window, frames[1:], who]
     found = torch.cat([mean[window, frames[0], who], free.flatten()])
     torch.testing.assert_close(found, best, rtol=1e-6, atol=1e-7)
     scales = [spread.first[window, frames[0], who], spread.free[window, frames[1:] - 1, who]]

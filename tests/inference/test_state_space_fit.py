@@ -24,7 +24,7 @@ from swarmssm.simulate import simulate_boids
 GUIDES = ("smoothing", "markov", "linearized")
 
 
-class Pull(KinematicTransition):
+class NeighborTerm(KinematicTransition):
     """Everybody is pulled to those they see."""
 
     def __init__(self, scales):
@@ -39,7 +39,7 @@ class Pull(KinematicTransition):
 
 def pulled(scales, exact=False):
     emission = None if exact else PositionEmission(scales.space, 0.03)
-    return StateSpaceModel(InitialStates.for_scales(scales), Pull(scales), emission)
+    return StateSpaceModel(InitialStates.for_scales(scales), NeighborTerm(scales), emission)
 
 
 @pytest.fixture(scope="module")

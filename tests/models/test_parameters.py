@@ -21,7 +21,7 @@ from swarmssm.models.parameters import convert_priors, fixed, priors_of
 POSITIVE = constraints.positive
 
 
-class Part(PyroModule):
+class LocalPyroModule(PyroModule):
     """A part with one parameter, which it returns."""
 
     def __init__(self, value, **options):
@@ -34,30 +34,32 @@ class Part(PyroModule):
 
 def test_a_fixed_parameter_is_a_buffer_of_the_usual_type():
     for value in (2, 2.0, np.float32(2.0), np.float64(2.0), torch.tensor(2), np.array(2.0)):
-        part = Part(value)
+        part = LocalPyroModule(value)
         assert torch.equal(part.gain, torch.tensor(2.0))
         assert list(part.state_dict()) == ["gain"]
         assert not list(part.parameters())
-    assert torch.equal(Part([1, 2.5]).gain, torch.tensor([1.0, 2.5]))
-    assert Part(torch.tensor(0.1, dtype=torch.float64)).gain.dtype == torch.float64
+    assert torch.equal(LocalPyroModule([1, 2.5]).gain, torch.tensor([1.0, 2.5]))
+    assert LocalPyroModule(torch.tensor(0.1, dtype=torch.float64)).gain.dtype == torch.float64
 
 
 def test_a_fixed_parameter_that_had_a_gradient_is_cut_off():
     value = torch.tensor(1.0, requires_grad=True)
-    assert not Part(value * 2).gain.requires_grad
+    assert not LocalPyroModule(value * 2).gain.requires_grad
 
 
 def test_learned_parameters():
-    part = Part(nn.Parameter(torch.tensor([1.0, -2.0])))
+    part = LocalPyroModule(nn.Parameter(torch.tensor([1.0, -2.0])))
     assert [name for name, _ in part.named_parameters()] == ["gain"]
     # A parameter that must be positive is learned on the logarithmic scale.
-    held = Part(nn.Parameter(torch.tensor(0.5)), constraint=POSITIVE)
+    held = LocalPyroModule(nn.Parameter(torch.tensor(0.5)), constraint=POSITIVE)
     torch.testing.assert_close(held.gain, torch.tensor(0.5))
     optimizer = torch.optim.SGD(held.parameters(), lr=10.0)
     held.gain.backward()
     optimizer.step()
     assert 0.0 < held.gain < 0.5
-    own = Part(PyroParam(torch.tensor(0.5), constraints.interval(0.0, 2.0)), constraint=POSITIVE)
+    own = LocalPyroModule(
+        PyroParam(torch.tensor(0.5), constraints.interval(0.0, 2.0)), constraint=POSITIVE
+    )
     torch.testing.assert_close(own.gain, torch.tensor(0.5))
 
 
@@ -70,7 +72,7 @@ def test_a_prior_is_one_site_whatever_its_shape():
         (dist.MultivariateNormal(torch.zeros(2), torch.eye(2)), (2,)),
         (dist.LogNormal(0.0, 1.0).expand([4]), (4,)),
     ]:
-        part = Part(prior)
+        part = LocalPyroModule(prior)
         trace = pyro.poutine.trace(part).get_trace()
         trace.compute_log_prob()
         site = trace.nodes["gain"]
@@ -82,7 +84,7 @@ def test_a_prior_is_one_site_whatever_its_shape():
 
 
 def test_a_parameter_may_be_given_again_and_as_something_else():
-    part = Part(1.0)
+    part = LocalPyroModule(1.0)
     ways = [
         2.0,
         dist.Normal(0.0, 1.0),
@@ -106,7 +108,7 @@ def test_a_parameter_may_be_given_again_and_as_something_else():
 
 
 def test_what_was_said_of_a_parameter_holds_when_it_is_given_again():
-    part = Part(1.0, constraint=POSITIVE, shapes=[()])
+    part = LocalPyroModule(1.0, constraint=POSITIVE, shapes=[()])
     with pytest.raises(InputError, match="gain: it must be positive, and it is -2"):
         assign(part, "gain", -2.0)
     assert torch.equal(part.gain, torch.tensor(1.0))
@@ -166,7 +168,7 @@ def test_what_was_said_of_a_parameter_holds_when_it_is_given_again():
 )
 def test_what_cannot_be_a_parameter_is_refused(value, options, error, message):
     with pytest.raises(error, match=message):
-        Part(value, **options)
+        LocalPyroModule(value, **options)
 
 
 @pytest.mark.parametrize(
@@ -180,7 +182,7 @@ def test_what_cannot_be_a_parameter_is_refused(value, options, error, message):
     ],
 )
 def test_any_prior_of_positive_values_is_one_of_a_positive_parameter(prior):
-    assert priors_of(Part(prior, constraint=POSITIVE)) == ["gain"]
+    assert priors_of(LocalPyroModule(prior, constraint=POSITIVE)) == ["gain"]
 
 
 class Hierarchy(PyroModule):
@@ -211,12 +213,12 @@ def test_a_prior_may_hang_on_other_parameters():
 
 
 def test_a_dependent_prior_of_a_wrong_shape_is_refused_when_it_is_made():
-    part = Part(PyroSample(lambda self: dist.Normal(torch.zeros(4), 1.0)), shapes=[(5,)])
+    part = LocalPyroModule(PyroSample(lambda self: dist.Normal(torch.zeros(4), 1.0)), shapes=[(5,)])
     with pytest.raises(InputError, match=r"gain: it must be \(5,\) in shape, and it is \(4,\)"):
         part()
 
 
-class Pull(KinematicTransition):
+class NeighborTerm(KinematicTransition):
     """Velocities relax; the gain and the noise are random."""
 
     def __init__(self):
@@ -230,7 +232,7 @@ class Pull(KinematicTransition):
 
 
 def exact_model():
-    return StateSpaceModel(InitialStates(torch.zeros(4), torch.ones(4)), Pull(), None)
+    return StateSpaceModel(InitialStates(torch.zeros(4), torch.ones(4)), NeighborTerm(), None)
 
 
 NAMES = ["transition.gain", "transition.noise"]
@@ -371,10 +373,10 @@ def test_nuts_on_parameters_alone_finds_the_posterior(drawn):
 
 
 def test_parts_in_plain_containers_are_parts_all_the_same():
-    class Several(Pull):
+    class Several(NeighborTerm):
         def __init__(self):
             super().__init__()
-            self.parts = nn.ModuleList([Part(dist.Normal(0.0, 1.0)) for _ in range(2)])
+            self.parts = nn.ModuleList([LocalPyroModule(dist.Normal(0.0, 1.0)) for _ in range(2)])
 
         def velocity(self, positions, velocities, inputs):
             push = sum(part() for part in self.parts)
@@ -425,7 +427,7 @@ def test_types_of_priors_follow_those_of_the_model():
     assert {value.dtype for value in model.sample_globals().values()} == {torch.float32}
     # The user's own distribution is as it was.
     own = dist.Normal(torch.zeros(2), 1.0)
-    part = Part(own)
+    part = LocalPyroModule(own)
     convert_priors(part, torch.Tensor.double)
     assert own.loc.dtype == torch.float32
 

@@ -21,7 +21,7 @@ from swarmssm.analysis.interpretation.forces.truth import force_agreement, true_
 from swarmssm.analysis.interpretation.inferred_edges import inferred_edges
 from swarmssm.analysis.interpretation.inferred_edges import sentence as edges_sentence
 from swarmssm.analysis.interpretation.inferred_graph import has_inferred_edges
-from swarmssm.analysis.interpretation.influence.leaders import find_leader, find_loners
+from swarmssm.analysis.interpretation.influence.leaders import find_isolated, find_leader
 from swarmssm.analysis.interpretation.influence.posterior import influence
 from swarmssm.analysis.interpretation.influence.posterior import sentence as influence_sentence
 from swarmssm.analysis.interpretation.kernels.posterior import interaction_kernels
@@ -310,7 +310,7 @@ def _with_true_kernels(found: xr.Dataset, tracks: xr.Dataset) -> xr.Dataset:
 def _with_decisions(found: xr.Dataset, seed: int) -> xr.Dataset:
     """Add whether somebody leads, and who keeps apart."""
     leader = find_leader(found, seed=seed)
-    loners = find_loners(found)
+    loners = find_isolated(found)
     found = found.assign(
         leader_alarm=leader["alarm"],
         leads=leader["leads"].astype(np.int8),

@@ -12,7 +12,7 @@ from swarmssm.analysis.interpretation.analyzed import Analysis
 from swarmssm.analysis.posterior.intervals import quantiles
 from swarmssm.analysis.scoring.table import NOTHING, format_number, format_unit
 
-__all__ = ["Finding", "findings", "findings_table"]
+__all__ = ["Summary", "findings", "findings_table"]
 
 #: Per cent below which a share is told as 0.
 NO_SHARE = 0.05
@@ -21,7 +21,7 @@ ENOUGH_DRAWS = 0.05
 
 
 @dataclass(frozen=True)
-class Finding:
+class Summary:
     """One number.
 
     Attributes
@@ -53,7 +53,7 @@ class Finding:
         return asdict(self)
 
 
-def findings(analysis: Analysis) -> list[Finding]:
+def findings(analysis: Analysis) -> list[Summary]:
     """Return the main numbers of an analysis.
 
     Parameters
@@ -61,7 +61,7 @@ def findings(analysis: Analysis) -> list[Finding]:
     analysis
         What :func:`swarmssm.analysis.interpretation.analyze` returned.
     """
-    told: dict[str, Callable[[xr.Dataset], Iterator[Finding]]] = {
+    told: dict[str, Callable[[xr.Dataset], Iterator[Summary]]] = {
         "forces": _of_forces,
         "kernels": _of_kernels,
         "force_maps": _of_maps,
@@ -107,7 +107,7 @@ def _of_draws(values: xr.DataArray, scale: float) -> tuple[float, float, float]:
     return float(middle), float(low), float(high)
 
 
-def _of_forces(found: xr.Dataset) -> Iterator[Finding]:
+def _of_forces(found: xr.Dataset) -> Iterator[Summary]:
     truth = "truth_r_squared" in found
     for term in found["term"].to_numpy():
         beside = ""
@@ -119,7 +119,7 @@ def _of_forces(found: xr.Dataset) -> Iterator[Finding]:
                     f"truth: R² {r2:.3f}, "
                     f"{100 * float(one['truth_coverage']):.0f} % within intervals"
                 )
-        yield Finding(
+        yield Summary(
             "forces",
             f"share of {term}",
             *_interval(found["share"].sel(term=term), 100.0),
@@ -127,7 +127,7 @@ def _of_forces(found: xr.Dataset) -> Iterator[Finding]:
             beside,
         )
     words = {"model": "the model's own terms", "projection": "boids terms fitted to a free model"}
-    yield Finding(
+    yield Summary(
         "forces",
         "acceleration that is not other",
         *_of_draws(found["explained"], 100.0),
@@ -136,11 +136,11 @@ def _of_forces(found: xr.Dataset) -> Iterator[Finding]:
     )
 
 
-def _of_kernels(found: xr.Dataset) -> Iterator[Finding]:
+def _of_kernels(found: xr.Dataset) -> Iterator[Summary]:
     unit = str(found.attrs["unit"])
     share = float(found["has_preferred_distance"])
     if share >= ENOUGH_DRAWS:
-        yield Finding(
+        yield Summary(
             "kernels",
             "preferred distance",
             *_interval(found["preferred_distance"]),
@@ -153,7 +153,7 @@ def _of_kernels(found: xr.Dataset) -> Iterator[Finding]:
     ):
         if name in found:
             ends = 100 * (1.0 - float(found[f"{name}_open"]))
-            yield Finding(
+            yield Summary(
                 "kernels",
                 words,
                 *_interval(found[name]),
@@ -161,9 +161,9 @@ def _of_kernels(found: xr.Dataset) -> Iterator[Finding]:
                 f"ends within the data in {ends:.0f} % of the draws"
                 + ("; it is at least this" if ends < 50 else ""),
             )
-    yield Finding("kernels", "neighbours", *_interval(found["neighbors"]), "", "mean number")
+    yield Summary("kernels", "neighbours", *_interval(found["neighbors"]), "", "mean number")
     if "explained" in found:
-        yield Finding(
+        yield Summary(
             "kernels",
             "acceleration that they explain",
             *_of_draws(found["explained"], 100.0),
@@ -172,7 +172,7 @@ def _of_kernels(found: xr.Dataset) -> Iterator[Finding]:
         )
     for name in found["kernel"].to_numpy() if "kernel" in found.dims else ():
         one = found.sel(kernel=name)
-        yield Finding(
+        yield Summary(
             "kernels",
             f"error of {name}",
             100 * float(one["truth_error"]),
@@ -181,7 +181,7 @@ def _of_kernels(found: xr.Dataset) -> Iterator[Finding]:
         )
 
 
-def _of_maps(found: xr.Dataset) -> Iterator[Finding]:
+def _of_maps(found: xr.Dataset) -> Iterator[Summary]:
     for name in found["map"].to_numpy():
         one = found.sel(map=name)
         reliability = float(one["reliability"])
@@ -191,7 +191,7 @@ def _of_maps(found: xr.Dataset) -> Iterator[Finding]:
                 f"slope {format_number(float(one['slope']), 2)}; {100 * reliability:.0f} % of the "
                 "raw map is more than sampling error"
             )
-        yield Finding(
+        yield Summary(
             "force maps",
             f"{name}: correlation with raw data",
             float(one["correlation"]),
@@ -199,7 +199,7 @@ def _of_maps(found: xr.Dataset) -> Iterator[Finding]:
         )
 
 
-def _of_latents(found: xr.Dataset) -> Iterator[Finding]:
+def _of_latents(found: xr.Dataset) -> Iterator[Summary]:
     linear = found.sel(probe="linear")
     for term in found["term"].to_numpy():
         own = linear.sel(source="latents", term=term)
@@ -210,7 +210,7 @@ def _of_latents(found: xr.Dataset) -> Iterator[Finding]:
         if "observed terms" in found["source"].to_numpy():
             plain = linear["source_vector_r2"].sel(source="observed terms", term=term)
             beside += f"; plain from observations {float(plain):.2f}"
-        yield Finding(
+        yield Summary(
             "latents",
             f"R² of {term} from all latents",
             float(own["source_vector_r2"]),
@@ -218,7 +218,7 @@ def _of_latents(found: xr.Dataset) -> Iterator[Finding]:
         )
 
 
-def _of_influence(found: xr.Dataset) -> Iterator[Finding]:
+def _of_influence(found: xr.Dataset) -> Iterator[Summary]:
     middle = found["leadership"].sel(quantile=0.5)
     if not middle.notnull().any():
         return
@@ -227,7 +227,7 @@ def _of_influence(found: xr.Dataset) -> Iterator[Finding]:
     unit = str(found["leadership"].attrs.get("units", ""))
     certain = bool(found.attrs.get("certain", 0))
     chance = float(found["rank_probability"].sel(rank=1).isel(individual=int(first)))
-    yield Finding(
+    yield Summary(
         "influence",
         f"of individual {top} on another",
         *_interval(found["leadership"].isel(individual=int(first))),
@@ -235,13 +235,13 @@ def _of_influence(found: xr.Dataset) -> Iterator[Finding]:
         "the most of all" + ("" if certain else f" in {100 * chance:.0f} % of the draws"),
     )
     others = found["leadership"].sel(quantile=0.5).median()
-    yield Finding("influence", "of the median individual on another", float(others), unit=unit)
+    yield Summary("influence", "of the median individual on another", float(others), unit=unit)
     by = str(found.attrs.get("leader_by", "nothing"))
     if by == "nothing":
         return
     leader = str(found.attrs["leader"])
     rate = format_number(100 * float(found.attrs["leader_rate"]), 2)
-    yield Finding(
+    yield Summary(
         "influence",
         "p-value of the likeliest leader" if by == "trials" else "doubt of the likeliest leader",
         float(found["leader_alarm"].min()),

@@ -16,7 +16,7 @@ __all__ = ["plot_benchmark"]
 OTHERS = "#a5a5a5"
 #: Rivals that are drawn in a colour of their own, the best at the last step.
 NAMED = 5
-RIVALS = ("#cc5f00", "#b8860b", "#7a5195", "#a0522d", "#5c7fb8")
+BASELINES = ("#cc5f00", "#b8860b", "#7a5195", "#a0522d", "#5c7fb8")
 
 
 def plot_benchmark(
@@ -60,7 +60,7 @@ def plot_benchmark(
         elif name in own:
             colour, width = FITS[list(own).index(name) % len(FITS)], 2.2
         elif name in best:
-            colour = RIVALS[best.index(name)]
+            colour = BASELINES[best.index(name)]
         else:
             colour, width, label = OTHERS, 0.8, "_other"
         ax.plot(

@@ -14,10 +14,10 @@ from swarmssm.analysis.plots.forces import plot_force_shares
 from swarmssm.analysis.plots.style import COLOURS, LINE_STYLES, legend_below, new_axes, new_grid
 from swarmssm.analysis.scoring.tables import score_table
 
-__all__ = ["RIVALS", "plot_gathered_shares", "plot_log_scores"]
+__all__ = ["BASELINES", "plot_gathered_shares", "plot_log_scores"]
 
 #: What simple rivals are called where the scores have no titles.
-RIVALS = {
+BASELINES = {
     "constant-velocity": "constant velocity",
     "stay-put": "stay put",
     "noise-floor": "true rule (noise floor)",
@@ -84,7 +84,7 @@ def plot_log_scores(
     """
     figure, ax = new_axes(ax, (5.2, 4.1))
     names = [str(name) for name in scores["model"].to_numpy()]
-    plain = [RIVALS.get(name, name) for name in names]
+    plain = [BASELINES.get(name, name) for name in names]
     titles = scores["title"].to_numpy() if "title" in scores.coords else plain
     learned = [name for name in (models or names) if name not in COLOURS]
     steps = scores["horizon"].to_numpy()

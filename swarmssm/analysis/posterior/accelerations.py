@@ -23,7 +23,7 @@ from swarmssm.models import OneStepModel, StateSpaceModel, StepInputs
 from swarmssm.models.parts import own_parameters
 from swarmssm.tracks.scaling import Scaler
 
-__all__ = ["Motion", "PosteriorPaths", "motion_of", "posterior_paths"]
+__all__ = ["AccelerationModel", "PosteriorPaths", "acceleration_model", "posterior_paths"]
 
 Values = Mapping[str, torch.Tensor]
 
@@ -100,7 +100,7 @@ def posterior_paths(
     )
 
 
-class Motion(ABC):
+class AccelerationModel(ABC):
     """The law of motion of a fitted model, on tensors in the tracks' own units.
 
     Attributes
@@ -173,7 +173,7 @@ class Motion(ABC):
         raise InputError("model: it has no named forces, only accelerations as a whole.")
 
 
-def motion_of(fit: Fit) -> Motion:
+def acceleration_model(fit: Fit) -> AccelerationModel:
     """Return the law of motion of a fit.
 
     Raises
@@ -204,7 +204,7 @@ def _alone(accelerations: torch.Tensor, present: torch.Tensor | None) -> torch.T
     return accelerations if present is None else accelerations * present.unsqueeze(-1)
 
 
-class _StateSpaceMotion(Motion):
+class _StateSpaceMotion(AccelerationModel):
     """A transition, with the edges that its model says."""
 
     def __init__(self, model: StateSpaceModel, scaler: Scaler, dt: float, middle: Values) -> None:
@@ -269,7 +269,7 @@ class _StateSpaceMotion(Motion):
         return scaled.to(self.dtype), step_inputs(self.model, adjacency, present)
 
 
-class _OneStepMotion(Motion):
+class _OneStepMotion(AccelerationModel):
     """Encode a frame, decode the next, at the mean of the latent states."""
 
     def __init__(self, model: OneStepModel, guide: OneStepGuide, scaler: Scaler, dt: float) -> None:

@@ -29,7 +29,7 @@ from swarmssm.models.parameters import priors_of
 from swarmssm.models.parts import own_parameters
 from swarmssm.tracks import Array
 
-__all__ = ["LATENTS", "Foresight", "foresee", "has_parameter_draws"]
+__all__ = ["LATENTS", "OneStepPredictive", "has_parameter_draws", "predict_one_step"]
 
 #: Sampled latent states over which a model is averaged that no filter sums out.
 LATENTS = 50
@@ -53,7 +53,7 @@ TOGETHER = "parameters are drawn with them, so that all draws have the same valu
 
 
 @dataclass(frozen=True)
-class Foresight:
+class OneStepPredictive:
     """Positions as foreseen from the frames before, in the tracks' own unit.
 
     Attributes
@@ -86,7 +86,7 @@ def has_parameter_draws(fit: Fit) -> bool:
     return bool(_drawn_by(fit)) and _is_filtered(fit)
 
 
-def foresee(
+def predict_one_step(
     fit: Fit,
     tracks: xr.Dataset,
     draws: int,
@@ -94,7 +94,7 @@ def foresee(
     *,
     replicates: bool = False,
     parameters: Mapping[str, Tensor] | None = None,
-) -> Foresight:
+) -> OneStepPredictive:
     """Foresee each frame of the tracks, the first ones from the law of first states.
 
     Parameters
@@ -145,7 +145,7 @@ def foresee(
     joint = foreseen.joint.numpy().astype(np.float64)
     joint = joint - np.log(scale).sum() * np.isfinite(density).sum(-1)
     drawn = foreseen.replicates.numpy().astype(np.float64) * scale + offset
-    return Foresight(density, joint, drawn, dict(parameters), how, prepared)
+    return OneStepPredictive(density, joint, drawn, dict(parameters), how, prepared)
 
 
 def draw_parameters(fit: Fit, draws: int, seed: int) -> dict[str, Tensor]:

@@ -10,7 +10,7 @@ import xarray as xr
 
 import swarmssm
 from swarmssm.analysis.posterior.container import container_of
-from swarmssm.analysis.posterior.foresight import draw_parameters, foresee
+from swarmssm.analysis.posterior.foresight import draw_parameters, predict_one_step
 from swarmssm.analysis.posterior.labels import labelled_parameters
 from swarmssm.analysis.posterior.layout import Layout
 from swarmssm.analysis.posterior.log_likelihood import rows_of, segments_of
@@ -130,7 +130,7 @@ def to_inference_data(
             raise InputError(f"{name}: it must be at least {least}, and it is {value}.")
     segments = None if part is None else segments_of(fit, tracks, part)
     posterior, parameters = _posterior(fit, tracks, draws, states, seed)
-    found = foresee(fit, tracks, draws, seed, replicates=True, parameters=parameters)
+    found = predict_one_step(fit, tracks, draws, seed, replicates=True, parameters=parameters)
     scored: Mask = np.logical_and.reduce(~np.isnan(found.density), axis=0)
     labels = [str(name) for name in found.prepared.tracks["trial"].values]
     scored &= rows_of(labels, scored.shape[1], segments)[..., None]

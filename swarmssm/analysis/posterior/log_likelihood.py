@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from swarmssm.analysis.posterior.foresight import foresee
+from swarmssm.analysis.posterior.foresight import predict_one_step
 from swarmssm.analysis.scoring.subject import same_tracks
 from swarmssm.errors import InputError
 from swarmssm.inference import Fit
@@ -71,7 +71,7 @@ def pointwise_log_likelihood(
     InputError
         If ``draws`` is not positive, or the tracks do not fit the model.
     """
-    found = foresee(fit, tracks, draws, seed)
+    found = predict_one_step(fit, tracks, draws, seed)
     density = np.broadcast_to(found.density, (draws, *found.density.shape[1:]))
     source = found.prepared.tracks
     return xr.DataArray(
@@ -129,7 +129,7 @@ def window_log_likelihood(
         scored.
     """
     segments = segments_of(fit, tracks, part)
-    found = foresee(fit, tracks, draws, seed)
+    found = predict_one_step(fit, tracks, draws, seed)
     scored: Mask = np.logical_or.reduce(~np.isnan(found.density), axis=0)
     labels = [str(name) for name in found.prepared.tracks["trial"].values]
     chosen = windows_over(np.asarray(scored.any(-1)), labels, segments, window)

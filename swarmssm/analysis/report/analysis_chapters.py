@@ -16,7 +16,7 @@ from swarmssm.analysis.plots.gathered import plot_log_scores
 from swarmssm.analysis.plots.inferred_edges import plot_edge_probabilities
 from swarmssm.analysis.report import analysis_sentences as sentences
 from swarmssm.analysis.report.blocks import Block, Chapter, Notes, Picture, Table, Text
-from swarmssm.analysis.report.embed import house_style
+from swarmssm.analysis.report.embed import report_style
 from swarmssm.analysis.report.held_out import CAUTION, own_model, score_rows, score_sentence
 from swarmssm.analysis.report.panels import (
     as_panels,
@@ -67,7 +67,7 @@ def analysis_chapters(analysis: Analysis, anchor: str = "") -> list[Chapter]:
         "scores": _of_scores,
     }
     chapters = []
-    with house_style():
+    with report_style():
         for name, dataset in analysis.datasets.items():
             if name not in tell:
                 continue

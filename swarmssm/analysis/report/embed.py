@@ -13,7 +13,7 @@ from markupsafe import Markup
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-__all__ = ["as_svg", "house_style"]
+__all__ = ["as_svg", "report_style"]
 
 #: Points of width above which a figure has several panels, and is scrolled on a narrow screen.
 SINGLE = 500.0
@@ -21,7 +21,7 @@ SINGLE = 500.0
 DPI = 160
 
 
-def house_style() -> AbstractContextManager[None]:
+def report_style() -> AbstractContextManager[None]:
     """Return a context in which figures are drawn in matplotlib's own style.
 
     What the user's configuration says of colours would not fit the page.

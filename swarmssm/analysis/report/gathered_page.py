@@ -10,7 +10,7 @@ from swarmssm.analysis.interpretation.analyzed import Analysis
 from swarmssm.analysis.plots.gathered import plot_gathered_shares, plot_log_scores
 from swarmssm.analysis.posterior.joining import joined
 from swarmssm.analysis.report import analysis_sentences
-from swarmssm.analysis.report.embed import as_svg, house_style
+from swarmssm.analysis.report.embed import as_svg, report_style
 from swarmssm.analysis.report.held_out import (
     CAUTION,
     own_model,
@@ -103,7 +103,7 @@ def gathered_page(
     contents += [(anchor, HEADINGS[anchor]) for anchor in ("scores", "rules", "maps")]
     contents += [(anchor, HEADINGS[anchor]) for anchor, _ in told]
     contents.append(("words", HEADINGS["words"]))
-    with house_style():
+    with report_style():
         return render(
             "gathered.html",
             title=title or _title(list(analyses)),

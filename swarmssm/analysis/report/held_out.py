@@ -3,7 +3,7 @@
 import numpy as np
 import xarray as xr
 
-from swarmssm.analysis.plots.gathered import RIVALS
+from swarmssm.analysis.plots.gathered import BASELINES
 from swarmssm.analysis.posterior.joining import joined
 from swarmssm.analysis.report.wording import capital
 from swarmssm.analysis.scoring.differences import paired_difference
@@ -26,7 +26,7 @@ def shown_models(scores: xr.Dataset) -> dict[str, str]:
     names = [str(name) for name in scores["model"].to_numpy()]
     if "title" in scores.coords:
         return dict(zip(names, map(str, scores["title"].to_numpy()), strict=True))
-    return {name: RIVALS.get(name, name) for name in names}
+    return {name: BASELINES.get(name, name) for name in names}
 
 
 def own_model(scores: xr.Dataset, model: str) -> str:

@@ -17,7 +17,7 @@ from swarmssm.analysis.report import sentences
 from swarmssm.analysis.report.analysis_chapters import analysis_chapter
 from swarmssm.analysis.report.blocks import Chapter, Facts, Fragment, Notes, Picture, Table
 from swarmssm.analysis.report.chapters import check_chapter, comparison_chapter
-from swarmssm.analysis.report.embed import house_style
+from swarmssm.analysis.report.embed import report_style
 from swarmssm.analysis.report.facts import (
     data_facts,
     model_facts,
@@ -109,7 +109,7 @@ def section_of(
         thesis = str(evaluation.settings["thesis"])
     anchor = re.sub(r"[^A-Za-z0-9_-]+", "-", anchor) or "run"
     verdict, reasons = sentences.verdict(evaluation)
-    with house_style():
+    with report_style():
         chapters = [
             _data(anchor, fit, tracks, evaluation),
             _model(anchor, fit),

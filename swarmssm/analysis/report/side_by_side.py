@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from swarmssm.analysis.interpretation.analyzed import Analysis
-from swarmssm.analysis.interpretation.findings import Finding, findings
+from swarmssm.analysis.interpretation.findings import Summary, findings
 from swarmssm.analysis.scoring.table import NOTHING, format_number, format_unit
 
 __all__ = ["Cell", "Row", "fact_rows", "finding_rows", "unit_of", "unit_sentence"]
@@ -147,7 +147,7 @@ def _frames(analysis: Analysis) -> str:
     return f"about {count * stride}{long}; one in {stride} kept"
 
 
-def _cell(found: Finding | None) -> Cell:
+def _cell(found: Summary | None) -> Cell:
     """Return a number as people read it."""
     if found is None or not math.isfinite(found.value):
         return Cell(NOTHING)
@@ -157,7 +157,7 @@ def _cell(found: Finding | None) -> Cell:
     return Cell(f"{_number(found, found.value)} {unit}".rstrip(), ends, found.beside)
 
 
-def _number(found: Finding, value: float) -> str:
+def _number(found: Summary, value: float) -> str:
     """Return three digits, and of a percentage none that nobody needs."""
     if found.unit == "%":
         return f"{value:.0f}" if abs(value) >= 10 else f"{value:.1f}"

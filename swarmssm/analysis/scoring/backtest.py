@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from swarmssm.analysis.diagnostics.calibration.many_runs import Counted
+from swarmssm.analysis.diagnostics.calibration.many_runs import PieceProgress
 from swarmssm.analysis.scoring.densities import SCORES, batches, mean_scores, position_scores
 from swarmssm.analysis.scoring.forecasters import (
     BaselineForecaster,
@@ -54,7 +54,7 @@ def backtest(
     seed: int = 0,
     levels: Sequence[float] = LEVELS,
     baselines: bool = True,
-    progress: Callable[[Counted], None] | None = None,
+    progress: Callable[[PieceProgress], None] | None = None,
 ) -> xr.Dataset:
     """Forecast from many held-out frames, and score what came by proper scores.
 
@@ -92,7 +92,7 @@ def backtest(
     baselines
         Whether staying put and constant velocity are rivals.
     progress
-        Called with a ``Counted`` of batches.
+        Called with a ``PieceProgress`` of batches.
 
     Returns
     -------
@@ -161,7 +161,7 @@ def backtest(
         nonlocal done
         done += 1
         if progress is not None:
-            progress(Counted(done, total, 0))
+            progress(PieceProgress(done, total, 0))
 
     found: dict[str, dict[str, Array]] = {}
     for name, forecaster in forecasters.items():

@@ -99,7 +99,7 @@ class ModelForecaster:
     ) -> tuple[Array, Array, float] | None:
         """Return where sampled futures expect the next sighting, and how surely.
 
-        In the tracks' own units, see :class:`swarmssm.inference.prediction.Kernels`.
+        In the tracks' own units, see :class:`swarmssm.inference.prediction.PredictiveMixture`.
         """
         at = torch.from_numpy(trials), torch.from_numpy(rows)
         with seeded(seed):

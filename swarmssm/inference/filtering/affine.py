@@ -172,19 +172,19 @@ class Window:
         return self.present.repeat_interleave(self.features, -1)
 
     @property
-    def stays(self) -> Tensor:
+    def persists(self) -> Tensor:
         """Features of those who are there at both ends of a step, ``(batch, time - 1, joint)``."""
         there = self.there
         return there[..., 1:, :] & there[..., :-1, :]
 
     @property
-    def free(self) -> Tensor:
+    def stochastic_features(self) -> Tensor:
         """Which features noise moves, ``(batch, time, joint)``: not positions that follow."""
         there = self.there
         if self.dt is None:
             return there
         position = torch.arange(self.features, device=there.device) < self.features // 2
-        follow = self.stays & position.repeat(self.individuals)
+        follow = self.persists & position.repeat(self.individuals)
         return torch.cat([there[..., :1, :], there[..., 1:, :] & ~follow], -2)
 
     def split(self, joint: Tensor) -> Tensor:
@@ -208,20 +208,20 @@ class Window:
         return self._settle(step, there[..., time, :], there[..., time + 1, :], 0)
 
     def _settle(self, steps: AffineMap, before: Tensor, after: Tensor, dims: int) -> AffineMap:
-        stays, comes = before & after, after & ~before
-        if bool(stays.all()):
+        persists, enters = before & after, after & ~before
+        if bool(persists.all()):
             return steps
         shape = steps.mean.shape
         fresh = self.initial_mean[(..., *[None] * dims, slice(None))].expand(shape)
         spread = self.initial_covariance[(..., *[None] * dims, slice(None), slice(None))]
-        mean = torch.where(stays, steps.mean, torch.where(comes, fresh, 0.0))
+        mean = torch.where(persists, steps.mean, torch.where(enters, fresh, 0.0))
         return AffineMap(
             steps.point,
             mean,
             # Who leaves has moved the others for the last time.
-            torch.where(_outer(stays, before), steps.jacobian, 0.0),
-            torch.where(_outer(stays, stays), steps.noise, 0.0)
-            + torch.where(_outer(comes, comes), spread, 0.0),
+            torch.where(_outer(persists, before), steps.jacobian, 0.0),
+            torch.where(_outer(persists, persists), steps.noise, 0.0)
+            + torch.where(_outer(enters, enters), spread, 0.0),
         )
 
     def settle_observation(self, observation: AffineMap, seen: Tensor) -> AffineMap:

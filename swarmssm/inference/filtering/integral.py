@@ -58,7 +58,7 @@ class PathTerms(NamedTuple):
     residual: Tensor
     slopes: Tensor
     noise: Tensor
-    stays: Tensor
+    persists: Tensor
     idle: Tensor | None
     dt: float
 
@@ -71,8 +71,8 @@ def path_integral(terms: PathTerms) -> Tensor:
     WorkError
         If the precision is not positive definite.
     """
-    *tensors, stays, idle, dt = terms
-    value: Tensor = _PathIntegral.apply(stays, idle, dt, *tensors)  # type: ignore[no-untyped-call]
+    *tensors, persists, idle, dt = terms
+    value: Tensor = _PathIntegral.apply(persists, idle, dt, *tensors)  # type: ignore[no-untyped-call]
     return value
 
 
@@ -119,9 +119,9 @@ def _precision(terms: PathTerms) -> tuple[Tensor, Tensor]:
     precision = torch.cholesky_inverse(factor)
     spread = 2.0 * factor.diagonal(dim1=-2, dim2=-1).log().sum(-1)
     spread = spread + factor.shape[-1] * math.log(2.0 * math.pi)
-    if not bool(terms.stays.all()):
-        precision = torch.where(terms.stays[..., None, None], precision, 0.0)
-        spread = torch.where(terms.stays, spread, 0.0)
+    if not bool(terms.persists.all()):
+        precision = torch.where(terms.persists[..., None, None], precision, 0.0)
+        spread = torch.where(terms.persists, spread, 0.0)
     return precision, spread.sum((1, 2))
 
 
@@ -160,13 +160,13 @@ class _PathIntegral(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, stays: Tensor, idle: Tensor | None, dt: float, *tensors: Tensor
+        ctx: Any, persists: Tensor, idle: Tensor | None, dt: float, *tensors: Tensor
     ) -> Tensor:
-        terms = PathTerms._make([*tensors, stays, idle, dt])
+        terms = PathTerms._make([*tensors, persists, idle, dt])
         band, value = assemble(terms)
         factor = factorize(band)
         ctx.save_for_backward(*tensors, *factor)
-        ctx.rest = (stays, idle, dt)
+        ctx.rest = (persists, idle, dt)
         found = value + normalizer(factor)
         if idle is not None:
             found = found - 0.5 * math.log(2.0 * math.pi) * idle.sum((1, 2)).to(found)

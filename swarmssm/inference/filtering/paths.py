@@ -93,7 +93,7 @@ def path_log_density(filtered: Filtered, paths: Tensor) -> Tensor:
     there = window.there[..., 0, :]
     first = joint[..., 0, :] - torch.where(there, window.initial_mean, 0.0)
     later = joint[..., 1:, :] - steps(joint[..., :-1, :])
-    free = window.free
+    free = window.stochastic_features
     residual = torch.where(free, torch.cat([first.unsqueeze(-2), later], -2), 0.0)
     prior = _log_normal(residual, cholesky(_free_noise(filtered), "of the noise of a step"), free)
     gap = torch.where(window.seen, window.values - system.observations(joint), 0.0)
@@ -121,12 +121,12 @@ def settle_positions(window: Window, joint: Tensor) -> Tensor:
         return states
     half = window.features // 2
     drawn, velocity = states[..., :half], states[..., half:]
-    stays = window.split(window.stays)[..., :half]
+    persists = window.split(window.persists)[..., :half]
     position = drawn[..., 0, :, :]
     positions = [position]
     for time in range(1, window.num_times):
         moved = position + window.dt * velocity[..., time, :, :]
-        position = torch.where(stays[..., time - 1, :, :], moved, drawn[..., time, :, :])
+        position = torch.where(persists[..., time - 1, :, :], moved, drawn[..., time, :, :])
         positions.append(position)
     return torch.cat([torch.stack(positions, -3), velocity], -1)
 
@@ -139,7 +139,7 @@ def noise_roots(filtered: Filtered) -> Tensor:
     ``(batch, time, joint, joint)``; of the first frame, of the initial distribution.
     """
     window = filtered.system.window
-    free = window.free
+    free = window.stochastic_features
     factor = root(_free_noise(filtered))
     factor = torch.where(free.unsqueeze(-1) & free.unsqueeze(-2), factor, 0.0)
     if window.dt is None:
@@ -159,7 +159,7 @@ def noise_roots(filtered: Filtered) -> Tensor:
 def _free_noise(filtered: Filtered) -> Tensor:
     """Return the noise of each frame's free features, and 1 for the rest."""
     window = filtered.system.window
-    free = window.free
+    free = window.stochastic_features
     noise = torch.cat([window.initial_covariance.unsqueeze(-3), filtered.system.steps.noise], -3)
     eye = torch.eye(free.shape[-1], dtype=noise.dtype, device=noise.device)
     return torch.where(free.unsqueeze(-1) & free.unsqueeze(-2), noise, eye)

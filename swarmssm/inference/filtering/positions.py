@@ -78,13 +78,13 @@ class PositionPath:
         self.dtype = batch.observations.dtype
         self.there = batch.present
         self.seen = batch.mask & batch.present
-        self.comes = batch.present.clone()
-        self.comes[:, 1:] &= ~batch.present[:, :-1]
-        self.stays = batch.present[:, 1:] & batch.present[:, :-1]
+        self.enters = batch.present.clone()
+        self.enters[:, 1:] &= ~batch.present[:, :-1]
+        self.persists = batch.present[:, 1:] & batch.present[:, :-1]
         self.everybody = bool(batch.present.all())
         none = torch.zeros_like(batch.present[:, :1])
         #: Which positions are free, ``(batch, time + 1, individual)``.
-        self.free = torch.cat([none, batch.present], 1) | torch.cat([self.comes, none], 1)
+        self.free = torch.cat([none, batch.present], 1) | torch.cat([self.enters, none], 1)
 
     def positions(self, states: Tensor) -> Tensor:
         """Return the positions of a path, ``(batch, time + 1, individual, space)``."""
@@ -93,7 +93,7 @@ class PositionPath:
         found = torch.cat([before[:, :1], here], 1)
         if self.everybody:
             return found
-        entering = torch.cat([self.comes, torch.zeros_like(self.comes[:, :1])], 1).unsqueeze(-1)
+        entering = torch.cat([self.enters, torch.zeros_like(self.enters[:, :1])], 1).unsqueeze(-1)
         return torch.where(entering, torch.cat([before, here[:, -1:]], 1), found)
 
     def states(self, positions: Tensor) -> Tensor:
@@ -122,7 +122,7 @@ class PositionPath:
         counted = self.there.sum((1, 2)).double() * self.space
         return expansion.value + path_integral(expansion.terms) - math.log(self.dt) * counted
 
-    def settle(self, expansion: Expansion) -> tuple[Tensor, Tensor, Tensor]:
+    def newton_step(self, expansion: Expansion) -> tuple[Tensor, Tensor, Tensor]:
         """Return the log-density at the path, and where the maximum of the expansion is.
 
         Returns
@@ -133,9 +133,9 @@ class PositionPath:
         with torch.no_grad():
             band, value = assemble(expansion.terms)
             shift = band_mean(band)
-            promise = 0.5 * (shift * band.linear).sum((0, 2))
+            predicted_gain = 0.5 * (shift * band.linear).sum((0, 2))
         split = torch.unflatten(shift, -1, (self.there.shape[-1], self.space)).transpose(0, 1)
-        return expansion.value + value, split, promise
+        return expansion.value + value, split, predicted_gain
 
     def spread(self, expansion: Expansion) -> Tensor:
         """Return each individual's own covariance, ``(batch, time, individual, state, state)``."""
@@ -175,9 +175,9 @@ class PositionPath:
             eye = torch.eye(joint, dtype=torch.float64, device=states.device) / self.dt
             slopes = torch.cat([-2.0 * eye, eye], -1).expand(*noise.shape[:2], joint, 2 * joint)
             change = (states[:, 1:, :, space:] - states[:, :-1, :, space:]).double()
-            change = torch.where(self.stays.unsqueeze(-1), change, 0.0).flatten(-2)
+            change = torch.where(self.persists.unsqueeze(-1), change, 0.0).flatten(-2)
             expansion = self._collect(self._frames(states), (change, slopes, 4.0 * noise))
-        positions = positions + self.settle(expansion)[1]
+        positions = positions + self.newton_step(expansion)[1]
         return Points(self.states(positions), self.spread(expansion))
 
     def maximise(self, start: Points, iterations: int) -> Points:
@@ -195,25 +195,25 @@ class PositionPath:
         """
         points = start._replace(mean=self.states(self.positions(start.mean)))
         expansion = self.expand(points)
-        value, shift, promise = self.settle(expansion)
+        value, shift, predicted_gain = self.newton_step(expansion)
         for _ in range(iterations):
-            if not bool((promise > GAIN).any()):
+            if not bool((predicted_gain > GAIN).any()):
                 break
             positions = self.positions(points.mean)
-            length, worse = torch.ones_like(promise), torch.zeros_like(promise).bool()
+            length, worse = torch.ones_like(predicted_gain), torch.zeros_like(predicted_gain).bool()
             for halving in range(SHORTER + 1):
                 if halving == SHORTER:
                     length = torch.where(worse, 0.0, length)
                 moved = self.states(positions + length[:, None, None, None] * shift)
                 trial = self.expand(points._replace(mean=moved))
-                gained, ahead, further = self.settle(trial)
+                gained, ahead, further = self.newton_step(trial)
                 worse = ~(gained >= value)
                 if not bool(worse.any()):
                     break
                 length = torch.where(worse, 0.5 * length, length)
             rise = gained - value
             points, expansion = points._replace(mean=moved), trial
-            value, shift, promise = gained, ahead, further
+            value, shift, predicted_gain = gained, ahead, further
             if not bool((rise > GAIN).any()):
                 break
         return points._replace(covariance=self.spread(expansion))
@@ -245,7 +245,7 @@ class PositionPath:
             gradient = torch.where(seen.unsqueeze(-1), gradient, 0.0)
             curvature = torch.where(seen[..., None, None], curvature, 0.0)
         initial = self.model.initial()
-        rows = self.comes if not self.everybody else self.comes[:, :1]
+        rows = self.enters if not self.everybody else self.enters[:, :1]
         count = rows.shape[1]
         mean = initial.mean.expand(len(seen), seen.shape[-1], 2 * space).unsqueeze(1)
         spread = covariance_of(initial).expand(len(seen), seen.shape[-1], 2 * space, 2 * space)
@@ -285,12 +285,12 @@ class PositionPath:
             eye = torch.eye(space, dtype=noise.dtype, device=noise.device)
             noise = noise + LEAST_NOISE * size * eye
         if not self.everybody:
-            stays, there = self.stays, self.there[:, :-1]
-            residual = torch.where(stays.unsqueeze(-1), residual, 0.0)
-            linked = stays[..., :, None, None, None] & there[..., None, None, :, None]
+            persists, there = self.persists, self.there[:, :-1]
+            residual = torch.where(persists.unsqueeze(-1), residual, 0.0)
+            linked = persists[..., :, None, None, None] & there[..., None, None, :, None]
             jacobian = torch.where(linked, jacobian, 0.0)
             eye = torch.eye(space, dtype=noise.dtype, device=noise.device)
-            noise = torch.where(stays[..., None, None], noise, eye)
+            noise = torch.where(persists[..., None, None], noise, eye)
         joint = residual.shape[-2] * space
         by_position = jacobian[..., :space].flatten(-4, -3).flatten(-2).double()
         by_velocity = jacobian[..., space:].flatten(-4, -3).flatten(-2).double() / dt
@@ -315,7 +315,7 @@ class PositionPath:
             steps = none, square, noise
         idle = None if self.everybody else (~self.free).repeat_interleave(self.space, -1)
         terms = PathTerms(
-            gradient @ turn, turn.mT @ curvature @ turn, *steps, self.stays, idle, self.dt
+            gradient @ turn, turn.mT @ curvature @ turn, *steps, self.persists, idle, self.dt
         )
         return Expansion(value.sum((-1, -2)), terms)
 

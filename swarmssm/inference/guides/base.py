@@ -10,7 +10,7 @@ import torch
 from swarmssm.inference.guides.edges import EdgeGuide
 from swarmssm.inference.guides.parameters import GlobalGuide
 from swarmssm.models import InferredEdges, StateSpaceModel, SwarmBatch, SwarmModel
-from swarmssm.models.parts import Part
+from swarmssm.models.parts import LocalPyroModule
 
 __all__ = ["OneStepGuide", "ParameterGuide", "PathGuide", "SwarmGuide"]
 
@@ -19,7 +19,7 @@ __all__ = ["OneStepGuide", "ParameterGuide", "PathGuide", "SwarmGuide"]
 MEAN_DRAWS = 20
 
 
-class SwarmGuide(Part):
+class SwarmGuide(LocalPyroModule):
     """A Pyro guide over the latent sites of a :class:`swarmssm.models.SwarmModel`.
 
     A subclass writes :meth:`for_model`, which builds it, and :meth:`forward`, a Pyro guide that
@@ -133,7 +133,7 @@ class PathGuide(SwarmGuide):
         -------
         States ``(batch, time, individual, state)``, 0 where nobody is present, and their
         log-density ``(batch,)`` over the features that noise moves
-        (:meth:`swarmssm.models.Transition.free`; all of them in the frame where an individual
+        (``stochastic_features``; all of them in the frame where an individual
         enters).
         """
         raise TypeError(f"{type(self).__name__} must define path(batch, values)")

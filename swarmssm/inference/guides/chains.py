@@ -20,23 +20,23 @@ from torch import Tensor
 __all__ = [
     "Chain",
     "Law",
-    "Pull",
-    "Sightings",
+    "NeighborTerm",
+    "Observations",
     "Spread",
     "Start",
     "Steps",
     "normal_terms",
-    "who_moves",
+    "presence_transitions",
 ]
 
 HALF_LOG_TWO_PI = 0.9189385332046727
 
 #: From a step and the deviations before it, ``(batch, individual, state)``, to what neighbours add
 #: to the mean of the free features, ``(batch, individual, free)``.
-Pull = Callable[[int, Tensor], Tensor]
+NeighborTerm = Callable[[int, Tensor], Tensor]
 
 
-class Sightings(NamedTuple):
+class Observations(NamedTuple):
     """Independent Gaussian sightings of each feature of a state.
 
     Attributes
@@ -92,8 +92,8 @@ class Steps(ABC):
         ``(batch, time, individual)`` who is there for the first time; of bool.
     """
 
-    stays: Tensor
-    comes: Tensor
+    persists: Tensor
+    enters: Tensor
 
     @abstractmethod
     def first(self, noise: Tensor) -> tuple[Tensor, Tensor]:
@@ -108,7 +108,7 @@ class Steps(ABC):
         """
 
     @abstractmethod
-    def walk(self, first: Tensor, shift: Tensor | None, pull: Pull | None) -> Tensor:
+    def walk(self, first: Tensor, shift: Tensor | None, pull: NeighborTerm | None) -> Tensor:
         """Return the path, step by step.
 
         Parameters
@@ -122,7 +122,7 @@ class Steps(ABC):
         """
 
     def draw(
-        self, stretch: Tensor, free_stretch: Tensor, pull: Pull | None = None
+        self, log_scale_correction: Tensor, free_stretch: Tensor, pull: NeighborTerm | None = None
     ) -> tuple[Tensor, Tensor]:
         """Return a path ``(batch, time, individual, state)`` and its log-density ``(batch,)``.
 
@@ -134,12 +134,12 @@ class Steps(ABC):
         pull
             What neighbours add.
         """
-        first_noise, noise = torch.randn_like(stretch), torch.randn_like(free_stretch)
-        first, first_size = self.first(stretch.exp() * first_noise)
+        first_noise, noise = torch.randn_like(log_scale_correction), torch.randn_like(free_stretch)
+        first, first_size = self.first(log_scale_correction.exp() * first_noise)
         shift, size = self.scaled(free_stretch.exp() * noise)
         path = self.walk(first, shift, pull)
-        total = normal_terms(first_noise, first_size + stretch.sum(-1), self.comes)
-        return path, total + normal_terms(noise, size + free_stretch.sum(-1), self.stays)
+        total = normal_terms(first_noise, first_size + log_scale_correction.sum(-1), self.enters)
+        return path, total + normal_terms(noise, size + free_stretch.sum(-1), self.persists)
 
     def mean(self, like: Tensor) -> Tensor:
         """Return the mean path; ``like`` has its shape, and says type and device."""
@@ -168,15 +168,15 @@ class Chain(ABC):
 
     Attributes
     ----------
-    state_dim, free_dim
+    state_dim, noise_dim
         Features of a state, and those of them that noise moves.
     """
 
     state_dim: int
-    free_dim: int
+    noise_dim: int
 
     @abstractmethod
-    def steps(self, sightings: Sightings, law: Law, start: Start, present: Tensor) -> Steps:
+    def steps(self, sightings: Observations, law: Law, start: Start, present: Tensor) -> Steps:
         """Return the conditional distributions of each step given all that is seen from it on.
 
         Parameters
@@ -187,12 +187,12 @@ class Chain(ABC):
             ``(batch, time, individual)`` of bool.
         """
 
-    def mean(self, sightings: Sightings, law: Law, start: Start, present: Tensor) -> Tensor:
+    def mean(self, sightings: Observations, law: Law, start: Start, present: Tensor) -> Tensor:
         """Return the mean path ``(batch, time, individual, state)``, that of :meth:`steps`."""
         return self.steps(sightings, law, start, present).mean(sightings.location)
 
     @abstractmethod
-    def spread(self, sightings: Sightings, law: Law, start: Start, present: Tensor) -> "Spread":
+    def spread(self, sightings: Observations, law: Law, start: Start, present: Tensor) -> "Spread":
         """Return the scales of a posterior without correlations between features and frames.
 
         For a linear law these are the optimal ones: the inverse square roots of the diagonal of
@@ -218,9 +218,9 @@ class Spread(NamedTuple):
     free: Tensor
 
 
-def who_moves(present: Tensor) -> tuple[Tensor, Tensor]:
+def presence_transitions(present: Tensor) -> tuple[Tensor, Tensor]:
     """Return who stays in each step and who comes in each frame."""
-    stays = present[:, 1:] & present[:, :-1]
-    comes = present.clone()
-    comes[:, 1:] &= ~present[:, :-1]
-    return stays, comes
+    persists = present[:, 1:] & present[:, :-1]
+    enters = present.clone()
+    enters[:, 1:] &= ~present[:, :-1]
+    return persists, enters

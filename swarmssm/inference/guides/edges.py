@@ -6,12 +6,12 @@ import torch
 from swarmssm.models import InferredEdges, SwarmBatch
 from swarmssm.models.edges import EdgeState, EdgeTypes
 from swarmssm.models.edges.types import PosteriorEdgeTypes
-from swarmssm.models.parts import Part
+from swarmssm.models.parts import LocalPyroModule
 
 __all__ = ["EdgeGuide"]
 
 
-class EdgeGuide(Part):
+class EdgeGuide(LocalPyroModule):
     r"""Draws the site ``"edges"`` of a model: :math:`q(e \mid x_{1:T})`.
 
     The paths are then drawn given these edges: :math:`q(\theta)\, q(e \mid x)\,
@@ -50,13 +50,13 @@ class EdgeGuide(Part):
         prior = self.edges.prior(batch)
         law = self.edges.posterior(batch, self.encoder, prior)
         site = PosteriorEdgeTypes(law, prior, integrated=self.integrates)
-        return self.edges.put(batch, pyro.sample("edges", site))
+        return self.edges.with_edge_types(batch, pyro.sample("edges", site))
 
     def draw(self, batch: SwarmBatch, *, sample: bool = True) -> SwarmBatch:
         """Return windows with edges that were drawn, or with the probabilities of their types."""
         with torch.no_grad():
             law = self.posterior(batch)
-            return self.edges.put(batch, law.sample() if sample else law.mean)
+            return self.edges.with_edge_types(batch, law.sample() if sample else law.mean)
 
     def draws(self, batch: SwarmBatch, draws: int) -> tuple[SwarmBatch, EdgeState]:
         """Draw edges of the same windows several times; the windows are encoded once.
@@ -83,4 +83,4 @@ class EdgeGuide(Part):
                     # What recurrences remember is told by what was seen, not by the draws.
                     last = type(last)(*(part.expand(draws, *part.shape) for part in last))
             known = EdgeState(types[..., -1, :, :, :], last)
-            return self.edges.put(batch, types.flatten(0, 1) if draws else types), known
+            return self.edges.with_edge_types(batch, types.flatten(0, 1) if draws else types), known

@@ -16,7 +16,7 @@ from swarmssm.inference.guides.base import PathGuide
 from swarmssm.inference.guides.chains import (
     Chain,
     Law,
-    Sightings,
+    Observations,
     Start,
 )
 from swarmssm.inference.guides.context import SwarmContext
@@ -30,7 +30,7 @@ from swarmssm.models.state_space import StateSpaceModel
 from swarmssm.models.transitions import KinematicTransition
 from swarmssm.models.transitions.base import covariance_of
 
-__all__ = ["FollowingGuide", "Setting"]
+__all__ = ["ModelInformedGuide", "PosteriorParameters"]
 
 #: A correction of a logarithm stays within this; so does one of a mean, in standard deviations.
 BOUND = 5.0
@@ -41,7 +41,7 @@ INPUT_BOUND = 10.0
 
 
 @dataclass(frozen=True)
-class Setting:
+class PosteriorParameters:
     """All that decides the posterior of a batch of paths.
 
     Attributes
@@ -57,14 +57,14 @@ class Setting:
     """
 
     reference: Tensor
-    sightings: Sightings
+    sightings: Observations
     law: Law
     start: Start
     correction: Tensor
     graph: Graph | None
 
 
-class FollowingGuide(PathGuide):
+class ModelInformedGuide(PathGuide):
     r"""What is common to the guides that keep up with their model.
 
     The path is first smoothed with each individual left to itself (a body keeps its velocity, any
@@ -114,7 +114,7 @@ class FollowingGuide(PathGuide):
         }
         self.passes = passes
         self.chain = _chain_for(model, type(self).__name__)
-        state, free = self.chain.state_dim, self.chain.free_dim
+        state, free = self.chain.state_dim, self.chain.noise_dim
         shown = None if model.emission is None else _features_shown(model.emission, state)
         self.shown = shown
         if shown is None:
@@ -130,7 +130,7 @@ class FollowingGuide(PathGuide):
         nn.init.zeros_(self.correct.weight)
         nn.init.zeros_(self.correct.bias)
 
-    def setting(self, batch: SwarmBatch, values: Mapping[str, Tensor]) -> Setting:
+    def setting(self, batch: SwarmBatch, values: Mapping[str, Tensor]) -> PosteriorParameters:
         """Return what decides the posterior of a batch's paths.
 
         Parameters
@@ -150,7 +150,7 @@ class FollowingGuide(PathGuide):
         parts = known.sightings, known.law, known.start, batch.present
         return known.reference + self.chain.mean(*parts)
 
-    def _setting(self, batch: SwarmBatch) -> Setting:
+    def _setting(self, batch: SwarmBatch) -> PosteriorParameters:
         initial = self.model.initial()
         shape = (*batch.observations.shape[:-1], self.chain.state_dim)
         mean, variance = initial.mean.expand(shape), initial.variance.expand(shape)
@@ -173,13 +173,13 @@ class FollowingGuide(PathGuide):
         told = self.correct(self.context(nodes, graph, batch.present))
         told = BOUND * (told / BOUND).tanh()
         drift, noise, seen, sure, gains, own = torch.split(told, self.parts, -1)
-        sightings = Sightings(
+        sightings = Observations(
             sightings.location + seen * _inverse_root(sightings.precision),
             sightings.precision * (-sure).exp(),
         )
         law = self._corrected(law, drift[:, 1:], noise[:, 1:], gains[:, 1:], sightings, sure)
         start = Start(mean - reference, variance)
-        return Setting(reference, sightings, law, start, own, _steps_of(graph))
+        return PosteriorParameters(reference, sightings, law, start, own, _steps_of(graph))
 
     def _typical_gains(self) -> tuple[Tensor, Tensor]:
         """Return what the own state, and the mean of the neighbours', do to the next one.
@@ -209,14 +209,14 @@ class FollowingGuide(PathGuide):
         drift: Tensor,
         noise: Tensor,
         gains: Tensor,
-        sightings: Sightings,
+        sightings: Observations,
         sure: Tensor,
     ) -> Law:
         """Return the law with the network's corrections."""
         if self.is_kinematic:
             scale = law.noise.sqrt()
             # An error of a position of one tracking noise, in noises of the velocity.
-            space = self.chain.free_dim
+            space = self.chain.noise_dim
             seen = sightings.precision[:, :-1, :, :space]
             # The 1 keeps the root's slope finite where nothing was seen.
             known = seen > 0
@@ -257,12 +257,14 @@ class FollowingGuide(PathGuide):
             noise = noise.expand(-1, batch.num_times - 1, *noise.shape[2:])
         else:
             noise = self._noise_like(variance)[:, :0]
-        drift = torch.zeros_like(mean[:, 1:, :, : self.chain.free_dim])
+        drift = torch.zeros_like(mean[:, 1:, :, : self.chain.noise_dim])
         law = Law(drift, noise, self._gains(drift))
         smoothed = about + self.chain.mean(sightings, law, start, batch.present)
         return torch.where(batch.present.unsqueeze(-1), smoothed, 0.0)
 
-    def _still(self, batch: SwarmBatch, mean: Tensor, variance: Tensor) -> tuple[Tensor, Sightings]:
+    def _still(
+        self, batch: SwarmBatch, mean: Tensor, variance: Tensor
+    ) -> tuple[Tensor, Observations]:
         """Return a path on which everybody stays in the middle of where it was seen, and what was
         seen as deviations from it.
         """
@@ -272,11 +274,11 @@ class FollowingGuide(PathGuide):
         middle = middle / torch.where(weight > 0, weight, 1.0)
         still = mean + middle
         if self.is_kinematic:
-            space = self.chain.free_dim
+            space = self.chain.noise_dim
             still = torch.cat([still[..., :space], torch.zeros_like(still[..., space:])], -1)
         return still, sightings._replace(location=sightings.location - (still - mean))
 
-    def _sightings(self, batch: SwarmBatch, reference: Tensor, variance: Tensor) -> Sightings:
+    def _sightings(self, batch: SwarmBatch, reference: Tensor, variance: Tensor) -> Observations:
         """Return what was seen, as deviations from a reference."""
         observed, mask = batch.observations, batch.mask.unsqueeze(-1)
         if self.shown is None:
@@ -284,7 +286,7 @@ class FollowingGuide(PathGuide):
             initial = self.model.initial()
             location = initial.mean + location * variance.sqrt() - reference
             precision = (BOUND * (precision / BOUND).tanh()).exp() / variance
-            return Sightings(location, precision * mask)
+            return Observations(location, precision * mask)
         assert self.model.emission is not None
         seen = self.model.emission(reference)
         width = observed.shape[-1]
@@ -295,29 +297,29 @@ class FollowingGuide(PathGuide):
         precision = torch.zeros_like(reference)
         if self.shown == list(range(width)):
             rest = torch.zeros_like(reference[..., width:])
-            return Sightings(torch.cat([known, rest], -1), torch.cat([mask / noise, rest], -1))
+            return Observations(torch.cat([known, rest], -1), torch.cat([mask / noise, rest], -1))
         index = torch.tensor(self.shown, device=observed.device)
-        return Sightings(
+        return Observations(
             location.index_copy(-1, index, known), precision.index_copy(-1, index, mask / noise)
         )
 
     def _law(self, batch: SwarmBatch, reference: Tensor, variance: Tensor) -> Law:
         """Return the model's law about a reference."""
         if batch.num_times == 1:
-            drift = reference[:, :0, :, : self.chain.free_dim]
+            drift = reference[:, :0, :, : self.chain.noise_dim]
             return Law(drift, self._noise_like(variance)[:, :0], self._gains(drift))
         following = self.model.step(reference[:, :-1], batch.steps())
-        expected = self.model.transition.free(following.mean)
-        drift = expected - self.model.transition.free(reference[:, 1:])
-        stays = (batch.present[:, 1:] & batch.present[:, :-1]).unsqueeze(-1)
-        drift = torch.where(stays, drift, 0.0)
+        expected = self.model.transition.stochastic_features(following.mean)
+        drift = expected - self.model.transition.stochastic_features(reference[:, 1:])
+        persists = (batch.present[:, 1:] & batch.present[:, :-1]).unsqueeze(-1)
+        drift = torch.where(persists, drift, 0.0)
         return Law(drift, self._noise(following, variance[:, 1:]), self._gains(drift))
 
     def _noise(self, following: Any, variance: Tensor) -> Tensor:
         """Return variances of free features, or square roots of covariances."""
         if self.is_kinematic:
-            free = self.model.transition.free(following.variance)
-            least = LEAST_VARIANCE * variance[..., self.chain.free_dim :]
+            free = self.model.transition.stochastic_features(following.variance)
+            least = LEAST_VARIANCE * variance[..., self.chain.noise_dim :]
             return torch.maximum(free.expand(least.shape), least)
         matrix = covariance_of(following)
         matrix = matrix.expand(*variance.shape, matrix.shape[-1])
@@ -327,7 +329,7 @@ class FollowingGuide(PathGuide):
     def _noise_like(self, variance: Tensor) -> Tensor:
         """Return any noise of the right shape, for windows without a step."""
         if self.is_kinematic:
-            return variance[..., self.chain.free_dim :]
+            return variance[..., self.chain.noise_dim :]
         return torch.diag_embed(variance)
 
     def _nodes(
@@ -336,7 +338,7 @@ class FollowingGuide(PathGuide):
         reference: Tensor,
         mean: Tensor,
         variance: Tensor,
-        sightings: Sightings,
+        sightings: Observations,
         law: Law,
     ) -> Tensor:
         """Return the inputs of the network, of about size 1."""
@@ -370,12 +372,12 @@ def _chain_for(model: StateSpaceModel, guide: str) -> Chain:
         )
     if isinstance(transition, KinematicTransition):
         return KinematicChain(transition.space, transition.dt)
-    if transition.free_dim == transition.state_dim:
+    if transition.noise_dim == transition.state_dim:
         return FullChain(transition.state_dim)
     raise InputError(
         f"guide: a {guide} needs a KinematicTransition, or a transition that moves all "
         f"{transition.state_dim} features of a state by noise, and {name} moves "
-        f"{transition.free_dim} of them."
+        f"{transition.noise_dim} of them."
     )
 
 

@@ -8,12 +8,12 @@ from torch import Tensor
 from swarmssm.inference.guides.chains import (
     Chain,
     Law,
-    Pull,
-    Sightings,
+    NeighborTerm,
+    Observations,
     Spread,
     Start,
     Steps,
-    who_moves,
+    presence_transitions,
 )
 
 __all__ = ["FullChain"]
@@ -29,19 +29,21 @@ class FullChain(Chain):
     """
 
     def __init__(self, state_dim: int) -> None:
-        self.state_dim = self.free_dim = state_dim
+        self.state_dim = self.noise_dim = state_dim
 
-    def _messages(self, sightings: Sightings, law: Law, stays: Tensor) -> tuple[Tensor, Tensor]:
+    def _messages(
+        self, sightings: Observations, law: Law, persists: Tensor
+    ) -> tuple[Tensor, Tensor]:
         """Return precision and information of all that is seen from a frame on, for each frame."""
         (gain,) = law.gains
         gain = gain.expand(*law.drift.shape[:-1], *gain.shape[-2:])
-        keep = stays.to(law.drift.dtype)
+        keep = persists.to(law.drift.dtype)
         seen = torch.diag_embed(sightings.precision)
         told = sightings.location * sightings.precision
         eye = torch.eye(self.state_dim, dtype=seen.dtype, device=seen.device)
         precision, information = seen[:, -1], told[:, -1]
         found = [(precision, information)]
-        for t in range(stays.shape[1] - 1, -1, -1):
+        for t in range(persists.shape[1] - 1, -1, -1):
             root = law.noise[:, t]
             inner = root.mT @ precision @ root
             factor = torch.linalg.cholesky(eye + inner)
@@ -60,10 +62,12 @@ class FullChain(Chain):
         precisions, informations = zip(*found, strict=True)
         return torch.stack(precisions, 1), torch.stack(informations, 1)
 
-    def steps(self, sightings: Sightings, law: Law, start: Start, present: Tensor) -> "FullSteps":
+    def steps(
+        self, sightings: Observations, law: Law, start: Start, present: Tensor
+    ) -> "FullSteps":
         """Return the conditional distributions; see :meth:`Chain.steps`."""
-        stays, comes = who_moves(present)
-        precision, information = self._messages(sightings, law, stays)
+        persists, enters = presence_transitions(present)
+        precision, information = self._messages(sightings, law, persists)
         (gain,) = law.gains
         root, later = law.noise, precision[:, 1:]
         eye = torch.eye(self.state_dim, dtype=root.dtype, device=root.device)
@@ -81,8 +85,8 @@ class FullChain(Chain):
         told = (information + mean * sure).unsqueeze(-1)
         size = root.diagonal(dim1=-2, dim2=-1).log() - factor.diagonal(dim1=-2, dim2=-1).log()
         return FullSteps(
-            stays=stays,
-            comes=comes,
+            persists=persists,
+            enters=enters,
             first_factor=first,
             first_mean=torch.cholesky_solve(told, first).squeeze(-1),
             gain=share @ gain,
@@ -92,14 +96,14 @@ class FullChain(Chain):
             log_size=size.sum(-1),
         )
 
-    def spread(self, sightings: Sightings, law: Law, start: Start, present: Tensor) -> Spread:
+    def spread(self, sightings: Observations, law: Law, start: Start, present: Tensor) -> Spread:
         """Return the scales of independent features; see :meth:`Chain.spread`."""
-        stays, _ = who_moves(present)
+        persists, _ = presence_transitions(present)
         (gain,) = law.gains
         eye = torch.eye(self.state_dim, dtype=law.noise.dtype, device=law.noise.device)
         inverse = torch.linalg.solve_triangular(law.noise, eye.expand_as(law.noise), upper=False)
         own = inverse.square().sum(-2)
-        before = (inverse @ gain).square().sum(-2) * stays.unsqueeze(-1)
+        before = (inverse @ gain).square().sum(-2) * persists.unsqueeze(-1)
         before = torch.cat([before, torch.zeros_like(before[:, :1])], 1)
         seen = sightings.precision
         first = seen + before + start.variance.reciprocal()
@@ -107,9 +111,11 @@ class FullChain(Chain):
 
     def join(self, first: Tensor, free: Tensor, present: Tensor) -> Tensor:
         """Return the path; see :meth:`Chain.join`."""
-        stays, comes = who_moves(present)
-        first = torch.where(comes.unsqueeze(-1)[:, : first.shape[1]], first, 0.0)
-        later = torch.where(stays.unsqueeze(-1), free, first[:, 1:] if first.shape[1] > 1 else 0.0)
+        persists, enters = presence_transitions(present)
+        first = torch.where(enters.unsqueeze(-1)[:, : first.shape[1]], first, 0.0)
+        later = torch.where(
+            persists.unsqueeze(-1), free, first[:, 1:] if first.shape[1] > 1 else 0.0
+        )
         return torch.cat([first[:, :1], later], 1)
 
 
@@ -150,12 +156,12 @@ class FullSteps(Steps):
         """Return noise at its scale."""
         return (self.scale @ noise.unsqueeze(-1)).squeeze(-1), self.log_size
 
-    def walk(self, first: Tensor, shift: Tensor | None, pull: Pull | None) -> Tensor:
+    def walk(self, first: Tensor, shift: Tensor | None, pull: NeighborTerm | None) -> Tensor:
         """Return the path, step by step."""
         offset = (self.offset if shift is None else self.offset + shift).unbind(1)
         gain, share = self.gain.unbind(1), self.share.unbind(1)
-        stays = self.stays.unsqueeze(-1).unbind(1)
-        arrived = torch.where(self.comes.unsqueeze(-1), first, 0.0).unbind(1)
+        persists = self.persists.unsqueeze(-1).unbind(1)
+        arrived = torch.where(self.enters.unsqueeze(-1), first, 0.0).unbind(1)
         state = arrived[0]
         path = [state]
         for t, moved in enumerate(offset):
@@ -163,6 +169,6 @@ class FullSteps(Steps):
             if pull is not None:
                 added = pull(t, state).unsqueeze(-1)
                 following = following + (share[t] @ added).squeeze(-1)
-            state = torch.where(stays[t], following, arrived[t + 1])
+            state = torch.where(persists[t], following, arrived[t + 1])
             path.append(state)
         return torch.stack(path, 1)

@@ -10,12 +10,12 @@ from torch.nn import functional
 from swarmssm.inference.guides.chains import (
     Chain,
     Law,
-    Pull,
-    Sightings,
+    NeighborTerm,
+    Observations,
     Spread,
     Start,
     Steps,
-    who_moves,
+    presence_transitions,
 )
 from swarmssm.inference.guides.mean_paths import mean_paths
 from swarmssm.models.scans import linear_scan, projective_scan
@@ -51,9 +51,9 @@ class KinematicChain(Chain):
 
     def __init__(self, space: int, dt: float) -> None:
         self.space, self.dt = space, dt
-        self.state_dim, self.free_dim = 2 * space, space
+        self.state_dim, self.noise_dim = 2 * space, space
 
-    def _messages(self, sightings: Sightings, law: Law, stays: Tensor) -> _Axis:
+    def _messages(self, sightings: Observations, law: Law, persists: Tensor) -> _Axis:
         r"""Return what all that is seen from a frame on says of the state there, for each frame.
 
         A step back changes ``[1, pp, pv, vv, det]`` by a matrix, up to a common factor, and the
@@ -68,7 +68,7 @@ class KinematicChain(Chain):
         drift, noise, k, a = (
             part.expand(shape).movedim(1, 0) for part in (law.drift, law.noise, *law.gains)
         )
-        keep = stays.unsqueeze(-1).to(drift.dtype).movedim(1, 0)
+        keep = persists.unsqueeze(-1).to(drift.dtype).movedim(1, 0)
         last = [torch.ones_like(seen_p[-1]), seen_p[-1], torch.zeros_like(seen_p[-1]), seen_v[-1]]
         last.append(seen_p[-1] * seen_v[-1])
         gain = self._precision_steps(seen_p[:-1], seen_v[:-1], noise, k, a, keep)
@@ -118,10 +118,12 @@ class KinematicChain(Chain):
         rows = torch.unflatten(rows, -1, (5, 5))
         return torch.cat([rows, rows.new_zeros(1, *rows.shape[1:])])
 
-    def steps(self, sightings: Sightings, law: Law, start: Start, present: Tensor) -> "AxisSteps":
+    def steps(
+        self, sightings: Observations, law: Law, start: Start, present: Tensor
+    ) -> "AxisSteps":
         """Return the conditional distributions; see :meth:`Chain.steps`."""
-        stays, comes = who_moves(present)
-        axis = self._messages(sightings, law, stays)
+        persists, enters = presence_transitions(present)
+        axis = self._messages(sightings, law, persists)
         k, a = law.gains
         dt = self.dt
         pp, pv, vv = axis.pp[:, 1:], axis.pv[:, 1:], axis.vv[:, 1:]
@@ -138,8 +140,8 @@ class KinematicChain(Chain):
             axis.pp + sure_p, axis.pv, axis.vv + sure_v, det, axis.p + told_p, axis.v + told_v
         )
         return AxisSteps(
-            stays=stays,
-            comes=comes,
+            persists=persists,
+            enters=enters,
             dt=dt,
             message=first,
             from_position=share * k - variance * m,
@@ -149,14 +151,14 @@ class KinematicChain(Chain):
             variance=variance,
         )
 
-    def mean(self, sightings: Sightings, law: Law, start: Start, present: Tensor) -> Tensor:
+    def mean(self, sightings: Observations, law: Law, start: Start, present: Tensor) -> Tensor:
         """Return the mean path; see :meth:`Chain.mean`."""
         if present.device.type != "cpu":
             # Steps of many small operations, which only a processor of few columns likes.
             return super().mean(sightings, law, start, present)
-        stays, comes = who_moves(present)
+        persists, enters = presence_transitions(present)
         shape = sightings.location.shape
-        sure = torch.where(comes.unsqueeze(-1), start.variance.reciprocal(), 0.0)
+        sure = torch.where(enters.unsqueeze(-1), start.variance.reciprocal(), 0.0)
         told = sightings.location * sightings.precision + sure * start.mean
         half = (*shape[:-1], self.space)
 
@@ -169,27 +171,27 @@ class KinematicChain(Chain):
             _halves(columns, sightings.precision + sure),
             _halves(columns, told),
             [columns(part.expand(each)) for part in (law.drift, law.noise, *law.gains)],
-            columns(stays.unsqueeze(-1).expand(each)),
-            columns(comes.unsqueeze(-1).expand(half)),
+            columns(persists.unsqueeze(-1).expand(each)),
+            columns(enters.unsqueeze(-1).expand(half)),
         )
         if found is None:
             return super().mean(sightings, law, start, present)
         back = (shape[0], *half[2:], shape[1])
         return torch.cat([part.reshape(back).movedim(-1, 1) for part in found], -1)
 
-    def spread(self, sightings: Sightings, law: Law, start: Start, present: Tensor) -> Spread:
+    def spread(self, sightings: Observations, law: Law, start: Start, present: Tensor) -> Spread:
         """Return the scales of independent velocities; see :meth:`Chain.spread`."""
-        stays, _ = who_moves(present)
-        stays = stays.unsqueeze(-1).to(law.drift.dtype)
+        persists, _ = presence_transitions(present)
+        persists = persists.unsqueeze(-1).to(law.drift.dtype)
         seen_p, seen_v = sightings.precision.chunk(2, -1)
         # A velocity shifts all later positions until its individual leaves.
         if bool(present.all()):
             shifted = seen_p.flip(1).cumsum(1).flip(1)
         else:
-            onward = functional.pad(stays, (0, 0, 0, 0, 0, 1)).expand_as(seen_p).movedim(1, 0)
+            onward = functional.pad(persists, (0, 0, 0, 0, 0, 1)).expand_as(seen_p).movedim(1, 0)
             shifted = linear_scan(onward, seen_p.movedim(1, 0), reverse=True).movedim(0, 1)
         a = law.gains[1].expand_as(law.drift)
-        before = stays * a.square() / law.noise
+        before = persists * a.square() / law.noise
         before = torch.cat([before, torch.zeros_like(seen_p[:, :1])], 1)
         free = 1.0 / law.noise + before[:, 1:] + self.dt**2 * shifted[:, 1:] + seen_v[:, 1:]
         sure_p, sure_v = start.variance.reciprocal().expand_as(sightings.location).chunk(2, -1)
@@ -198,17 +200,17 @@ class KinematicChain(Chain):
 
     def join(self, first: Tensor, free: Tensor, present: Tensor) -> Tensor:
         """Return the path; see :meth:`Chain.join`."""
-        stays, comes = who_moves(present)
-        stays, comes = stays.unsqueeze(-1), comes.unsqueeze(-1)
-        free = torch.where(stays, free, 0.0)
-        first_p, first_v = torch.where(comes[:, : first.shape[1]], first, 0.0).chunk(2, -1)
+        persists, enters = presence_transitions(present)
+        persists, enters = persists.unsqueeze(-1), enters.unsqueeze(-1)
+        free = torch.where(persists, free, 0.0)
+        first_p, first_v = torch.where(enters[:, : first.shape[1]], first, 0.0).chunk(2, -1)
         if first.shape[1] == 1:
             v = torch.cat([first_v, free], 1)
             p = torch.cat([first_p, self.dt * free], 1).cumsum(1)
             # Who has left is nowhere.
             return torch.cat([torch.where(present.unsqueeze(-1), p, 0.0), v], -1)
         v = torch.cat([first_v[:, :1], first_v[:, 1:] + free], 1)
-        onward = functional.pad(stays.to(v.dtype), (0, 0, 0, 0, 1, 0)).expand_as(v)
+        onward = functional.pad(persists.to(v.dtype), (0, 0, 0, 0, 1, 0)).expand_as(v)
         shift = torch.cat([first_p[:, :1], first_p[:, 1:] + self.dt * free], 1)
         p = linear_scan(onward.movedim(1, 0), shift.movedim(1, 0)).movedim(0, 1)
         return torch.cat([p, v], -1)
@@ -251,33 +253,33 @@ class AxisSteps(Steps):
         """Return noise at its scale."""
         return self.variance.sqrt() * noise, 0.5 * self.variance.log().sum(-1)
 
-    def walk(self, first: Tensor, shift: Tensor | None, pull: Pull | None) -> Tensor:
+    def walk(self, first: Tensor, shift: Tensor | None, pull: NeighborTerm | None) -> Tensor:
         """Return the path: in one scan, or step by step where neighbours pull."""
         if pull is None:
             return self._scan(first, self.offset if shift is None else self.offset + shift)
         gain_p, gain_v = self.from_position.unbind(1), self.from_velocity.unbind(1)
         offset = (self.offset if shift is None else self.offset + shift).unbind(1)
         share = self.share.unbind(1)
-        stays = self.stays.unsqueeze(-1).unbind(1)
-        arrived = torch.where(self.comes.unsqueeze(-1), first, 0.0).unbind(1)
+        persists = self.persists.unsqueeze(-1).unbind(1)
+        arrived = torch.where(self.enters.unsqueeze(-1), first, 0.0).unbind(1)
         state = arrived[0]
         path = [state]
         for t, moved in enumerate(offset):
             p, v = state.chunk(2, -1)
             v = moved + gain_p[t] * p + gain_v[t] * v + share[t] * pull(t, state)
-            state = torch.where(stays[t], torch.cat([p + self.dt * v, v], -1), arrived[t + 1])
+            state = torch.where(persists[t], torch.cat([p + self.dt * v, v], -1), arrived[t + 1])
             path.append(state)
         return torch.stack(path, 1)
 
     def _scan(self, first: Tensor, offset: Tensor) -> Tensor:
         """Return the path when neighbours do not pull."""
         dt = self.dt
-        stays = self.stays.unsqueeze(-1).to(offset.dtype)
-        gain_p, gain_v = self.from_position * stays, self.from_velocity * stays
-        gain = torch.stack([stays + dt * gain_p, dt * gain_v, gain_p, gain_v], -1)
-        arrived = torch.where(self.comes.unsqueeze(-1), first, 0.0)
+        persists = self.persists.unsqueeze(-1).to(offset.dtype)
+        gain_p, gain_v = self.from_position * persists, self.from_velocity * persists
+        gain = torch.stack([persists + dt * gain_p, dt * gain_v, gain_p, gain_v], -1)
+        arrived = torch.where(self.enters.unsqueeze(-1), first, 0.0)
         arrived = torch.stack(arrived.chunk(2, -1), -1)
-        moved = torch.where(self.stays.unsqueeze(-1), offset, 0.0)
+        moved = torch.where(self.persists.unsqueeze(-1), offset, 0.0)
         later = arrived[:, 1:] + torch.stack([dt * moved, moved], -1)
         gain = functional.pad(gain, (0, 0, 0, 0, 0, 0, 1, 0))
         gain = torch.unflatten(gain, -1, (2, 2)).movedim(1, 0)

@@ -215,10 +215,10 @@ def _check(model: StateSpaceModel) -> None:
             "choose 'parameters'."
         )
     if not isinstance(transition, KinematicTransition) and (
-        transition.free_dim != transition.state_dim
+        transition.noise_dim != transition.state_dim
     ):
         raise InputError(
             f"guide: a linearized guide needs a KinematicTransition, or a transition that moves "
             f"all {transition.state_dim} features of a state by noise, and {name} moves "
-            f"{transition.free_dim} of them."
+            f"{transition.noise_dim} of them."
         )

@@ -8,8 +8,8 @@ from torch import Tensor, nn
 
 from swarmssm.graphs import EdgeList, Graph, degree, neighbor_sum
 from swarmssm.inference.guides.base import MEAN_DRAWS
-from swarmssm.inference.guides.chains import Pull
-from swarmssm.inference.guides.following import FollowingGuide
+from swarmssm.inference.guides.chains import NeighborTerm
+from swarmssm.inference.guides.following import ModelInformedGuide
 from swarmssm.models import SwarmBatch
 from swarmssm.models.markov import StepInputs
 from swarmssm.models.state_space import StateSpaceModel
@@ -17,7 +17,7 @@ from swarmssm.models.state_space import StateSpaceModel
 __all__ = ["MarkovGuide"]
 
 
-class MarkovGuide(FollowingGuide):
+class MarkovGuide(ModelInformedGuide):
     r"""Affine Gaussian steps, which keep the correlation in time.
 
     .. math::
@@ -29,14 +29,14 @@ class MarkovGuide(FollowingGuide):
     where f are the features that noise moves, m is a reference path, and bars are means over
     neighbours. Gains, offsets and covariances are those of the exact smoother of an individual that
     goes where the model says it goes from the reference, seen as noisily as the model says, all of
-    it corrected by a network (:class:`~swarmssm.inference.guides.following.FollowingGuide`). For a
+    it corrected by a network (``ModelInformedGuide``). For a
     linear-Gaussian swarm without interaction the exact posterior is in the family; with
     interaction, all but the correlation between individuals within one step.
 
     Parameters
     ----------
     model, parameters, hidden, passes
-        See :class:`~swarmssm.inference.guides.following.FollowingGuide`.
+        See :class:`~swarmssm.inference.guides.following.ModelInformedGuide`.
     coupling
         Whether the states of neighbours just before enter the mean.
     """
@@ -83,19 +83,19 @@ class MarkovGuide(FollowingGuide):
         """Return what draws paths with their density: the network is asked but once for all."""
         known = self.setting(batch, values)
         steps = self.chain.steps(known.sightings, known.law, known.start, batch.present)
-        stretch = known.correction
-        free_stretch = self.model.transition.free(stretch)[:, 1:]
+        log_scale_correction = known.correction
+        free_stretch = self.model.transition.stochastic_features(log_scale_correction)[:, 1:]
         pull = None
         if self.coupling and known.graph is not None and batch.num_times > 1:
-            pull = self._pull(known.graph, stretch)
+            pull = self._pull(known.graph, log_scale_correction)
 
         def draw() -> tuple[Tensor, Tensor]:
-            off, density = steps.draw(stretch, free_stretch, pull)
+            off, density = steps.draw(log_scale_correction, free_stretch, pull)
             return known.reference + off, density
 
         return draw
 
-    def _pull(self, graph: Graph, like: Tensor) -> Pull:
+    def _pull(self, graph: Graph, like: Tensor) -> NeighborTerm:
         """Return what the neighbours of a step add to the mean."""
         if isinstance(graph, EdgeList):
             frames = StepInputs(graph)

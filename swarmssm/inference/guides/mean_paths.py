@@ -31,8 +31,8 @@ def mean_paths(
     sure: tuple[Tensor, Tensor],
     told: tuple[Tensor, Tensor],
     law: Sequence[Tensor],
-    stays: Tensor,
-    comes: Tensor,
+    persists: Tensor,
+    enters: Tensor,
 ) -> tuple[Tensor, Tensor] | None:
     """Return mean positions and velocities, 0 where nobody is.
 
@@ -53,7 +53,7 @@ def mean_paths(
         bool.
     """
     parts = [part.double() for part in (*sure, *told, *law)]
-    bands = _factorised(dt, [part.detach().numpy() for part in parts], stays, comes)
+    bands = _factorised(dt, [part.detach().numpy() for part in parts], persists, enters)
     if bands is None:
         return None
     position, velocity = _MeanPaths.apply(*parts, bands)  # type: ignore[no-untyped-call]
@@ -85,8 +85,8 @@ class _Bands:
 
     factor: Array
     place: np.ndarray[Any, np.dtype[np.int64]]
-    stays: Tensor
-    comes: np.ndarray[Any, np.dtype[np.bool_]]
+    persists: Tensor
+    enters: np.ndarray[Any, np.dtype[np.bool_]]
     there: np.ndarray[Any, np.dtype[np.bool_]]
     weight: Array
     here: Array
@@ -100,34 +100,36 @@ class _Bands:
         own[:, 1:] += pulled / self.dt
         own[:, :-1] -= self.here * pulled
         back[:, :-1] += self.before * pulled
-        right = _rows(len(self.factor.T), own, back, self.place, self.comes, self.there)
+        right = _rows(len(self.factor.T), own, back, self.place, self.enters, self.there)
         path, _ = lapack.dpbtrs(self.factor, right, lower=1, overwrite_b=1)
         position = path[self.place]
         velocity = (position - path[self.place - 1]) / self.dt
         return position * self.there, velocity * self.there
 
 
-def _rows(size: int, own: Array, back: Array, place: Any, comes: Any, there: Any) -> Array:
+def _rows(size: int, own: Array, back: Array, place: Any, enters: Any, there: Any) -> Array:
     """Return one number for each unknown, of those that belong to positions and to the ones
     before them.
     """
-    own[:, :-1] += back[:, 1:] * (there & ~comes)[:, 1:]
+    own[:, :-1] += back[:, 1:] * (there & ~enters)[:, 1:]
     rows = np.zeros(size)
     rows[place] = own * there
-    rows[place[comes] - 1] = back[comes]
+    rows[place[enters] - 1] = back[enters]
     return rows
 
 
-def _factorised(dt: float, parts: Sequence[Array], stays: Tensor, comes: Tensor) -> _Bands | None:
+def _factorised(
+    dt: float, parts: Sequence[Array], persists: Tensor, enters: Tensor
+) -> _Bands | None:
     """Return the bands, or nothing if they have no factor; ``parts`` are those of
     :func:`mean_paths`.
     """
     sure_p, sure_v, _, _, _, noise, k, a = parts
-    arrives = comes.numpy()
+    arrives = enters.numpy()
     there = arrives.copy()
-    there[:, 1:] |= stays.numpy()
+    there[:, 1:] |= persists.numpy()
     place = (1 + arrives).cumsum().reshape(arrives.shape) - 1
-    weight = stays.numpy() / noise
+    weight = persists.numpy() / noise
     before = a / dt
     here = 1.0 / dt + k + before
     from_speed = sure_v / dt**2
@@ -147,7 +149,7 @@ def _factorised(dt: float, parts: Sequence[Array], stays: Tensor, comes: Tensor)
     factor, failed = lapack.dpbtrf(bands.T, lower=1, overwrite_ab=1)
     if failed:
         return None
-    return _Bands(factor, place, stays, arrives, there, weight, here, before, dt)
+    return _Bands(factor, place, persists, arrives, there, weight, here, before, dt)
 
 
 class _MeanPaths(torch.autograd.Function):
@@ -169,7 +171,7 @@ class _MeanPaths(torch.autograd.Function):
         own_p, own_v = _MeanPaths.apply(  # type: ignore[no-untyped-call]
             sure_p, sure_v, *gradient, torch.zeros_like(drift), noise, k, a, bands
         )
-        scaled = bands.stays / noise
+        scaled = bands.persists / noise
         surprise = (v[:, 1:] - k * p[:, :-1] - a * v[:, :-1] - drift) * scaled
         own = (own_v[:, 1:] - k * own_p[:, :-1] - a * own_v[:, :-1]) * scaled
         return (

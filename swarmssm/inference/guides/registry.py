@@ -10,7 +10,7 @@ from swarmssm.inference.guides.smoothing import SmoothingGuide
 from swarmssm.models import OneStepModel, StateSpaceModel, SwarmModel
 from swarmssm.models.registry import find_part
 
-__all__ = ["GUIDES", "find_guide", "usual_guide"]
+__all__ = ["GUIDES", "default_guide", "find_guide"]
 
 GUIDES: dict[str, Any] = {
     "encoder": GraphEncoderGuide,
@@ -28,7 +28,7 @@ def find_guide(name: str) -> Any:
     return find_part(name, GUIDES, "guide")
 
 
-def usual_guide(name: str, model: SwarmModel) -> str:
+def default_guide(name: str, model: SwarmModel) -> str:
     """Return the name of the guide that is taken for a model if none is named."""
     if isinstance(model, OneStepModel):
         return "encoder"

@@ -1,13 +1,19 @@
 """What a fitted model says of frames it has not seen."""
 
-from swarmssm.inference.prediction.base import Beginning, Kernels, Predictor, Trajectory, seeded
+from swarmssm.inference.prediction.base import (
+    InitialCondition,
+    PredictiveMixture,
+    Predictor,
+    Trajectory,
+    seeded,
+)
 from swarmssm.inference.prediction.one_step import OneStepPredictor
 from swarmssm.inference.prediction.state_space import StateSpacePredictor
 
 __all__ = [
-    "Beginning",
-    "Kernels",
+    "InitialCondition",
     "OneStepPredictor",
+    "PredictiveMixture",
     "Predictor",
     "StateSpacePredictor",
     "Trajectory",

@@ -13,14 +13,14 @@ from swarmssm.inference.data import Prepared
 from swarmssm.models.edges import EdgeState
 from swarmssm.models.parts import own_parameters
 
-__all__ = ["Beginning", "Kernels", "Predictor", "Trajectory", "owning", "seeded"]
+__all__ = ["InitialCondition", "PredictiveMixture", "Predictor", "Trajectory", "owning", "seeded"]
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
 
 @dataclass(frozen=True)
-class Beginning:
+class InitialCondition:
     """Frames from which a model goes on.
 
     Attributes
@@ -73,7 +73,7 @@ class Trajectory:
 
 
 @dataclass(frozen=True)
-class Kernels:
+class PredictiveMixture:
     """Where sampled futures expect the next sighting, before its own noise is drawn.
 
     Attributes
@@ -141,7 +141,7 @@ class Predictor(ABC):
         draws: int,
         *,
         carry: bool = False,
-    ) -> Beginning:
+    ) -> InitialCondition:
         """Return where a model stands at given frames, knowing these and those before alone.
 
         Parameters
@@ -158,7 +158,7 @@ class Predictor(ABC):
         """
 
     @abstractmethod
-    def begin_at(self, states: torch.Tensor, adjacency: torch.Tensor) -> Beginning:
+    def begin_at(self, states: torch.Tensor, adjacency: torch.Tensor) -> InitialCondition:
         """Return a beginning at given states, all present.
 
         Parameters
@@ -170,7 +170,7 @@ class Predictor(ABC):
         """
 
     @abstractmethod
-    def run(self, beginning: Beginning, steps: int, *, sample: bool) -> Trajectory:
+    def run(self, beginning: InitialCondition, steps: int, *, sample: bool) -> Trajectory:
         """Go on freely.
 
         Parameters
@@ -183,7 +183,7 @@ class Predictor(ABC):
             Whether all that is random is drawn, or takes its mean.
         """
 
-    def kernels(self, beginning: Beginning, steps: int) -> Kernels | None:
+    def kernels(self, beginning: InitialCondition, steps: int) -> PredictiveMixture | None:
         """Draw futures, and return what each expects of its next sighting.
 
         ``None`` for a model that has no distribution of one step to tell.

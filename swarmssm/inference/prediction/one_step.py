@@ -10,8 +10,8 @@ from swarmssm.errors import InputError
 from swarmssm.graphs import GraphRule
 from swarmssm.inference.data import Prepared
 from swarmssm.inference.guides import OneStepGuide
-from swarmssm.inference.prediction.base import Beginning, Predictor, Trajectory, owning
-from swarmssm.inference.starting import carry_on
+from swarmssm.inference.prediction.base import InitialCondition, Predictor, Trajectory, owning
+from swarmssm.inference.starting import extrapolate_missing
 from swarmssm.models import OneStepModel
 from swarmssm.tracks.scaling import Scaler
 
@@ -103,10 +103,12 @@ class OneStepPredictor(Predictor):
         draws: int,
         *,
         carry: bool = False,
-    ) -> Beginning:
+    ) -> InitialCondition:
         """Return the frames as they are: latent states are drawn on the way."""
         if carry:
-            own, adjacency, present = carry_on(prepared, self.scaler, self.rule, trials, rows)
+            own, adjacency, present = extrapolate_missing(
+                prepared, self.scaler, self.rule, trials, rows
+            )
         else:
             present = prepared.mask[trials, rows]
             adjacency = prepared.adjacency[trials, rows]
@@ -114,7 +116,7 @@ class OneStepPredictor(Predictor):
         absent = ~present.unsqueeze(-1)
         scaled = self.scaler.transform_tensor(own).masked_fill(absent, 0.0).to(torch.float32)
         shape = (draws,) * bool(draws)
-        return Beginning(
+        return InitialCondition(
             scaled.expand(*shape, *scaled.shape),
             adjacency.expand(*shape, *adjacency.shape),
             present.expand(*shape, *present.shape),
@@ -122,15 +124,15 @@ class OneStepPredictor(Predictor):
         )
 
     @owning
-    def begin_at(self, states: torch.Tensor, adjacency: torch.Tensor) -> Beginning:
+    def begin_at(self, states: torch.Tensor, adjacency: torch.Tensor) -> InitialCondition:
         """Return a beginning at given states, all present."""
         scaled = self.scaler.transform_tensor(states).to(torch.float32)
         present = torch.ones(states.shape[:-1], dtype=torch.bool)
-        return Beginning(scaled, adjacency, present, states)
+        return InitialCondition(scaled, adjacency, present, states)
 
     @owning
     @torch.no_grad()
-    def run(self, beginning: Beginning, steps: int, *, sample: bool) -> Trajectory:
+    def run(self, beginning: InitialCondition, steps: int, *, sample: bool) -> Trajectory:
         """Go on freely; see :meth:`Predictor.run`.
 
         With ``sample`` latent states, next states and edges are drawn; else their means, and the

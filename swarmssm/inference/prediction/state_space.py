@@ -14,7 +14,13 @@ from swarmssm.graphs import GraphRule, dense
 from swarmssm.inference.data import Prepared, frames_of
 from swarmssm.inference.guides import LinearizedGuide, PathGuide
 from swarmssm.inference.guides.base import MEAN_DRAWS
-from swarmssm.inference.prediction.base import Beginning, Kernels, Predictor, Trajectory, owning
+from swarmssm.inference.prediction.base import (
+    InitialCondition,
+    PredictiveMixture,
+    Predictor,
+    Trajectory,
+    owning,
+)
 from swarmssm.inference.prediction.over_draws import OverDraws, in_pieces
 from swarmssm.inference.starting import MAX_CARRY
 from swarmssm.models import InferredEdges, ObservedEdges, StateSpaceModel, StepInputs, SwarmBatch
@@ -215,7 +221,7 @@ class StateSpacePredictor(Predictor):
             if whole is None:
                 start = self.begin(prepared, trials[index], rows[index], int(sample))
             else:
-                start = Beginning(
+                start = InitialCondition(
                     whole.states[index],
                     whole.adjacency[index],
                     whole.present[index],
@@ -230,7 +236,7 @@ class StateSpacePredictor(Predictor):
         return joined[0], joined[1]
 
     @torch.no_grad()
-    def _begin_everywhere(self, prepared: Prepared) -> Beginning | None:
+    def _begin_everywhere(self, prepared: Prepared) -> InitialCondition | None:
         """Return the filtered mean at every frame, if the guide can filter whole trials at once."""
         if not isinstance(self.guide, LinearizedGuide) or self.guide.has_edges:
             return None
@@ -256,7 +262,7 @@ class StateSpacePredictor(Predictor):
         draws: int,
         *,
         carry: bool = False,
-    ) -> Beginning:
+    ) -> InitialCondition:
         """Filter the histories that end at given frames; see :meth:`Predictor.begin`."""
         batch = self._histories(prepared, trials, rows, carry)
         if isinstance(self.model.edges, InferredEdges):
@@ -272,7 +278,7 @@ class StateSpacePredictor(Predictor):
             states, values = self._last_states(batch, draws)
         return self._beginning(states, present, graph, values)
 
-    def _begin_with_edges(self, batch: SwarmBatch, draws: int) -> Beginning:
+    def _begin_with_edges(self, batch: SwarmBatch, draws: int) -> InitialCondition:
         """Infer edges from histories, and where the swarms are given these."""
         guide = self.guide
         if not isinstance(guide, PathGuide):
@@ -302,20 +308,20 @@ class StateSpacePredictor(Predictor):
         present: torch.Tensor,
         graph: torch.Tensor,
         values: tuple[Values, ...] | None = None,
-    ) -> Beginning:
+    ) -> InitialCondition:
         """Put a beginning together; the graph is made anew where the rule is known."""
         present = present.expand(states.shape[:-1])
         graph = self._graph({}, states, present, graph.expand(*present.shape, present.shape[-1]))
         own = self.scaler.inverse_tensor(states.to(torch.float64))
         own = own.masked_fill(~present.unsqueeze(-1), torch.nan)
-        return Beginning(states, graph, present, own, values)
+        return InitialCondition(states, graph, present, own, values)
 
     @owning
-    def begin_at(self, states: torch.Tensor, adjacency: torch.Tensor) -> Beginning:
+    def begin_at(self, states: torch.Tensor, adjacency: torch.Tensor) -> InitialCondition:
         """Return a beginning at given states, all present."""
         scaled = self.scaler.transform_tensor(states).to(torch.float32)
         present = torch.ones(states.shape[:-1], dtype=torch.bool)
-        return Beginning(scaled, adjacency.to(torch.float32), present, states)
+        return InitialCondition(scaled, adjacency.to(torch.float32), present, states)
 
     def _histories(
         self, prepared: Prepared, trials: torch.Tensor, rows: torch.Tensor, carry: bool
@@ -378,7 +384,7 @@ class StateSpacePredictor(Predictor):
 
     @owning
     @torch.no_grad()
-    def run(self, beginning: Beginning, steps: int, *, sample: bool) -> Trajectory:
+    def run(self, beginning: InitialCondition, steps: int, *, sample: bool) -> Trajectory:
         """Let the transition run; see :meth:`Predictor.run`.
 
         Later graphs are those of the model's own edges, or made by the rule from the states.
@@ -399,7 +405,7 @@ class StateSpacePredictor(Predictor):
         adjacency = torch.stack(graphs, dim=-3)
         return Trajectory(torch.stack(frames, dim=-3), adjacency, adjacency.bool())
 
-    def _run_with_edges(self, beginning: Beginning, steps: int, sample: bool) -> Trajectory:
+    def _run_with_edges(self, beginning: InitialCondition, steps: int, sample: bool) -> Trajectory:
         """Run on edges whose types are inferred, and change as the swarm goes on."""
         if beginning.parameters is None:
             return self._walk(beginning, self._middle(), steps, sample)
@@ -410,7 +416,9 @@ class StateSpacePredictor(Predictor):
         names = ("states", "edge_probability", "adjacency", "edge_types")
         return Trajectory(*(torch.stack([getattr(part, n) for part in parts]) for n in names))
 
-    def _walk(self, start: Beginning, values: Values, steps: int, sample: bool) -> Trajectory:
+    def _walk(
+        self, start: InitialCondition, values: Values, steps: int, sample: bool
+    ) -> Trajectory:
         """Run on inferred edges with given parameters."""
         edges = self.model.edges
         assert isinstance(edges, InferredEdges)
@@ -437,7 +445,7 @@ class StateSpacePredictor(Predictor):
 
     @owning
     @torch.no_grad()
-    def kernels(self, beginning: Beginning, steps: int) -> Kernels:
+    def kernels(self, beginning: InitialCondition, steps: int) -> PredictiveMixture:
         """Draw futures, and return what each expects; see :meth:`Predictor.kernels`."""
         path = self.run(beginning, steps, sample=True)
         before = torch.cat([beginning.states.unsqueeze(-3), path.states[..., :-1, :, :]], dim=-3)
@@ -453,10 +461,12 @@ class StateSpacePredictor(Predictor):
         else:
             found = OverDraws(self._foresee, beginning.parameters)(*tensors)
         location, variance, degrees = found
-        return Kernels(location.masked_fill(gone, torch.nan), variance, float(degrees.min()))
+        return PredictiveMixture(
+            location.masked_fill(gone, torch.nan), variance, float(degrees.min())
+        )
 
     def _with_parameters(
-        self, beginning: Beginning, function: Callable[..., Any]
+        self, beginning: InitialCondition, function: Callable[..., Any]
     ) -> Callable[..., Any]:
         """Return a function of tensors alone: the parameters are those that a beginning has."""
         if beginning.parameters is None:
@@ -500,7 +510,7 @@ class StateSpacePredictor(Predictor):
             degrees = states.new_tensor(math.inf)
         return location, variance.expand(location.shape), degrees.min().reshape(1)
 
-    def _connect(self, beginning: Beginning) -> Callable[..., torch.Tensor]:
+    def _connect(self, beginning: InitialCondition) -> Callable[..., torch.Tensor]:
         """Return a function that makes the graph of states, see :meth:`_graph`."""
         if any(name.startswith("edges.") for name in priors_of(self.model)):
             return self._with_parameters(beginning, self._graph)
@@ -523,9 +533,9 @@ class StateSpacePredictor(Predictor):
         return self.rule(seen, velocities).to(states.dtype)
 
 
-def _one_draw(beginning: Beginning, draw: int) -> Beginning:
+def _one_draw(beginning: InitialCondition, draw: int) -> InitialCondition:
     """Return the part of a beginning that belongs to one draw."""
-    return Beginning(
+    return InitialCondition(
         beginning.states[draw],
         beginning.adjacency[draw],
         beginning.present[draw],

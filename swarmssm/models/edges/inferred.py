@@ -17,11 +17,11 @@ from swarmssm.models.edges.seen import Seen, seen_states
 from swarmssm.models.edges.types import EdgeTypes, Gradient
 from swarmssm.models.layers import check_sizes
 from swarmssm.models.markov import Step, StepInputs
-from swarmssm.models.parts import Part
+from swarmssm.models.parts import LocalPyroModule
 from swarmssm.models.relational import pairs_of
 from swarmssm.models.scales import Scales
 
-__all__ = ["EdgeState", "EdgeWalk", "InferredEdges"]
+__all__ = ["EdgeFilter", "EdgeState", "InferredEdges"]
 
 
 @dataclass(frozen=True)
@@ -47,11 +47,11 @@ class EdgeState:
         return EdgeState(self.types[index], Memory(hidden[index], velocities[index]))
 
 
-class InferredEdges(Part, Edges):
+class InferredEdges(LocalPyroModule, Edges):
     r"""Edges of K types, the latent site ``"edges"`` of a model.
 
     Types are drawn by :meth:`prior` in the model and by :meth:`posterior` in the guide, and put
-    into the windows (:meth:`put`): from there transitions, emissions, filters and guides see a
+    into the windows (:meth:`with_edge_types`): transitions, emissions, filters and guides see a
     graph like any other, with the weights :math:`A_{ij} = \sum_k s_k e_{ij,k}`, through which
     gradients reach the encoder. A transition that knows types
     (:class:`swarmssm.models.transitions.TypedTransition`) finds them in
@@ -180,7 +180,7 @@ class InferredEdges(Part, Edges):
             return inputs.adjacency
         return self.weights(inputs.edge_types)
 
-    def put(self, batch: SwarmBatch, types: Tensor) -> SwarmBatch:
+    def with_edge_types(self, batch: SwarmBatch, types: Tensor) -> SwarmBatch:
         """Return windows with given types, ``(batch, time or 1, individual, neighbor, type)``.
 
         What is learned by :meth:`conditional_term` is not learned through the graph.
@@ -328,9 +328,9 @@ class InferredEdges(Part, Edges):
         """Return the pairs whose types are drawn in a frame, ``(..., individual, neighbor)``."""
         return pairs_of(present)
 
-    def walk(self, known: EdgeState | None = None, *, sample: bool = True) -> "EdgeWalk":
-        """Return edges of the frames to come, see :class:`EdgeWalk`."""
-        return EdgeWalk(self, known, sample=sample)
+    def walk(self, known: EdgeState | None = None, *, sample: bool = True) -> "EdgeFilter":
+        """Return edges of the frames to come, see :class:`EdgeFilter`."""
+        return EdgeFilter(self, known, sample=sample)
 
     def distribution(self, logits: Tensor, pairs: Tensor, *, normalized: bool = True) -> EdgeTypes:
         """Return a distribution of types that draws as these edges do."""
@@ -339,7 +339,7 @@ class InferredEdges(Part, Edges):
         )
 
 
-class EdgeWalk(Edges):
+class EdgeFilter(Edges):
     """Edges of a swarm that goes on freely, frame after frame.
 
     Parameters

@@ -62,7 +62,7 @@ def own_priors(
 ) -> dict[str, Any]:
     """Return priors of walls, speed regulation, limits of speed and noise.
 
-    For :meth:`swarmssm.models.transitions.ForceTransition.give_own`; see
+    For :meth:`swarmssm.models.transitions.ForceTransition.assign_self_terms`; see
     :func:`swarmssm.models.presets.boids` for what they are.
     """
     length, speed = positive(scales.length), true_speed(scales)

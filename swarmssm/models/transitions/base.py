@@ -12,9 +12,9 @@ from swarmssm.models.batch import SwarmBatch
 from swarmssm.models.distributions.kinematic import Kinematic
 from swarmssm.models.layers import check_sizes
 from swarmssm.models.markov import StepInputs
-from swarmssm.models.parts import Part
+from swarmssm.models.parts import LocalPyroModule
 
-__all__ = ["KinematicTransition", "Linearization", "Transition", "covariance_of", "middle_of"]
+__all__ = ["KinematicTransition", "Linearization", "Transition", "covariance_of", "location_of"]
 
 
 class Linearization(NamedTuple):
@@ -37,7 +37,7 @@ class Linearization(NamedTuple):
     noise: torch.Tensor
 
 
-class Transition(Part):
+class Transition(LocalPyroModule):
     """Law of motion :math:`p(z_t | z_{t-1}, G_{t-1})` of a swarm.
 
     A subclass writes :meth:`forward`. Parameters are attributes, given with
@@ -61,7 +61,7 @@ class Transition(Part):
         self.state_dim = state_dim
 
     @property
-    def free_dim(self) -> int:
+    def noise_dim(self) -> int:
         """Number of features of a next state that noise moves; the rest follow from them."""
         return self.state_dim
 
@@ -87,10 +87,10 @@ class Transition(Part):
         """
         raise TypeError(f"{type(self).__name__} must define forward(states, inputs)")
 
-    #: Parameters that :meth:`social` does without.
-    own_names: ClassVar[tuple[str, ...]] = ()
+    #: Parameters that :meth:`pairwise` does without.
+    self_parameter_names: ClassVar[tuple[str, ...]] = ()
 
-    def social(self, states: torch.Tensor, inputs: StepInputs) -> torch.Tensor:
+    def pairwise(self, states: torch.Tensor, inputs: StepInputs) -> torch.Tensor:
         """Return what neighbours change the middle of the free features by.
 
         Before limits of speed, if there are any. Here the difference between the law with the graph
@@ -103,16 +103,16 @@ class Transition(Part):
 
         Returns
         -------
-        ``(..., individual, free_dim)``.
+        ``(..., individual, noise_dim)``.
         """
         assert inputs.adjacency is not None, "neighbours are those of a graph"
         graph = dense(inputs.adjacency, states.dtype)
         alone = replace(inputs, adjacency=torch.zeros_like(graph))
-        return middle_of(self(states, inputs)) - middle_of(self(states, alone))
+        return location_of(self(states, inputs)) - location_of(self(states, alone))
 
-    def forget_own(self) -> None:
-        """Give up the parameters that :meth:`social` does without, and their priors."""
-        for name in self.own_names:
+    def drop_self_terms(self) -> None:
+        """Give up the parameters that :meth:`pairwise` does without, and their priors."""
+        for name in self.self_parameter_names:
             if name in self._pyro_samples or hasattr(self, name):
                 delattr(self, name)
 
@@ -129,8 +129,8 @@ class Transition(Part):
         """
         return None
 
-    def free(self, states: torch.Tensor) -> torch.Tensor:
-        """Return the features that noise moves, ``(..., free_dim)``."""
+    def stochastic_features(self, states: torch.Tensor) -> torch.Tensor:
+        """Return the features that noise moves, ``(..., noise_dim)``."""
         return states
 
     def path(self, first: torch.Tensor, free: torch.Tensor) -> torch.Tensor:
@@ -141,7 +141,7 @@ class Transition(Part):
         first
             ``(..., individual, state)``.
         free
-            ``(..., time - 1, individual, free_dim)``.
+            ``(..., time - 1, individual, noise_dim)``.
 
         Returns
         -------
@@ -205,7 +205,7 @@ class KinematicTransition(Transition):
         self.dt = dt
 
     @property
-    def free_dim(self) -> int:
+    def noise_dim(self) -> int:
         """Velocities are free, positions follow."""
         return self.space
 
@@ -260,7 +260,7 @@ class KinematicTransition(Transition):
             line.noise[..., half:, half:],
         )
 
-    def free(self, states: torch.Tensor) -> torch.Tensor:
+    def stochastic_features(self, states: torch.Tensor) -> torch.Tensor:
         """Return the velocities."""
         return states[..., self.space :]
 
@@ -271,13 +271,13 @@ class KinematicTransition(Transition):
         return torch.cat([first, torch.cat([positions, free], dim=-1)], dim=-3)
 
 
-def middle_of(following: TorchDistribution) -> torch.Tensor:
+def location_of(following: TorchDistribution) -> torch.Tensor:
     """Return the location of next states; of bodies, that of their next velocities.
 
     Of a distribution that is limited in speed, the one before the limits.
     """
     if isinstance(following, Kinematic):
-        return middle_of(following.velocity)
+        return location_of(following.velocity)
     inner: Any = getattr(following, "base_dist", following)
     location: torch.Tensor = getattr(inner, "loc", None)  # type: ignore[assignment]
     return following.mean if location is None else location

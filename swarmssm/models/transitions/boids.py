@@ -109,15 +109,15 @@ class BoidsTransition(ForceTransition):
         self.softening = softening
         self.has_radius = radius is not None
         self.is_sharp = isinstance(radius_width, int | float) and radius_width == 0
-        self.give("cohesion_gain", cohesion_gain, constraints.real)
-        self.give("separation_gain", separation_gain, constraints.real)
-        self.give("alignment_gain", alignment_gain, constraints.real)
-        self.give("exponent", exponent, constraints.nonnegative)
+        self.assign_parameter("cohesion_gain", cohesion_gain, constraints.real)
+        self.assign_parameter("separation_gain", separation_gain, constraints.real)
+        self.assign_parameter("alignment_gain", alignment_gain, constraints.real)
+        self.assign_parameter("exponent", exponent, constraints.nonnegative)
         if self.has_radius:
-            self.give("radius", radius, constraints.positive)
+            self.assign_parameter("radius", radius, constraints.positive)
             if not self.is_sharp:
-                self.give("radius_width", radius_width, constraints.positive)
-        self.give_own(
+                self.assign_parameter("radius_width", radius_width, constraints.positive)
+        self.assign_self_terms(
             process_noise=process_noise,
             wall_gain=wall_gain,
             half_width=half_width,

@@ -51,7 +51,7 @@ class KernelTransition(ForceTransition):
     attraction, alignment
         Coefficients of f and g, ``(size,)``, in multiples of the units.
     process_noise
-        See :meth:`ForceTransition.give_own`.
+        See :meth:`ForceTransition.assign_self_terms`.
     units
         An acceleration, in which attraction and repulsion are written, and one over a time, for the
         alignment. Parameters of the size of 1 are learned best.
@@ -74,7 +74,7 @@ class KernelTransition(ForceTransition):
     noise, limit_tolerance
         See :class:`~swarmssm.models.transitions.ForceTransition`.
     **own
-        For :meth:`ForceTransition.give_own`: walls, speed regulation, limits of speed.
+        For :meth:`ForceTransition.assign_self_terms`: walls, speed regulation, limits of speed.
 
     All parameters may be fixed, learned or have a prior, as those of ``BoidsTransition``.
 
@@ -124,21 +124,25 @@ class KernelTransition(ForceTransition):
         self.has_radius = radius is not None
         self.is_sharp = isinstance(radius_width, int | float) and radius_width == 0
         whole: list[tuple[int, ...]] = [(basis.size,)]
-        self.give("attraction", attraction, constraints.real, whole)
+        self.assign_parameter("attraction", attraction, constraints.real, whole)
         if self.has_repulsion:
-            self.give("repulsion", repulsion, constraints.real, whole)
-        self.give("alignment", alignment, constraints.real, whole)
+            self.assign_parameter("repulsion", repulsion, constraints.real, whole)
+        self.assign_parameter("alignment", alignment, constraints.real, whole)
         if self.is_modulated:
-            self.give("modulation", modulation, constraints.real, [(-1,)])
+            self.assign_parameter("modulation", modulation, constraints.real, [(-1,)])
         if self.has_influence:
-            self.give("influence", influence, constraints.nonnegative, [(-1,), (-1, -1)])
+            self.assign_parameter(
+                "influence", influence, constraints.nonnegative, [(-1,), (-1, -1)]
+            )
         if self.has_responsiveness:
-            self.give("responsiveness", responsiveness, constraints.nonnegative, [(-1,)])
+            self.assign_parameter(
+                "responsiveness", responsiveness, constraints.nonnegative, [(-1,)]
+            )
         if self.has_radius:
-            self.give("radius", radius, constraints.positive)
+            self.assign_parameter("radius", radius, constraints.positive)
             if not self.is_sharp:
-                self.give("radius_width", radius_width, constraints.positive)
-        self.give_own(process_noise=process_noise, **own)
+                self.assign_parameter("radius_width", radius_width, constraints.positive)
+        self.assign_self_terms(process_noise=process_noise, **own)
 
     @property
     def social_terms(self) -> tuple[str, ...]:

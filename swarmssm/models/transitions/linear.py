@@ -60,9 +60,9 @@ class LinearTransition(Transition):
             assign(self, name, value, constraint=constraint, shapes=[shape])
 
     #: See :class:`~swarmssm.models.Transition`.
-    own_names: ClassVar[tuple[str, ...]] = ("matrix", "offset", "noise_tril")
+    self_parameter_names: ClassVar[tuple[str, ...]] = ("matrix", "offset", "noise_tril")
 
-    def social(self, states: torch.Tensor, inputs: StepInputs) -> torch.Tensor:
+    def pairwise(self, states: torch.Tensor, inputs: StepInputs) -> torch.Tensor:
         """Return what the mean of the neighbours adds to the next state."""
         assert inputs.adjacency is not None, "neighbours are those of a graph"
         pull: torch.Tensor = pull_to_neighbors(states, inputs.adjacency) @ self.coupling.mT

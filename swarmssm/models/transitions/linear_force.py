@@ -73,9 +73,14 @@ class LinearForceTransition(KinematicTransition):
         assign(self, "home", home, shapes=[(), (space,)])
 
     #: See :class:`~swarmssm.models.Transition`.
-    own_names: ClassVar[tuple[str, ...]] = ("damping", "process_noise", "homing_gain", "home")
+    self_parameter_names: ClassVar[tuple[str, ...]] = (
+        "damping",
+        "process_noise",
+        "homing_gain",
+        "home",
+    )
 
-    def social(self, states: Tensor, inputs: StepInputs) -> Tensor:
+    def pairwise(self, states: Tensor, inputs: StepInputs) -> Tensor:
         """Return what the mean of the neighbours adds to the next velocity."""
         assert inputs.adjacency is not None, "neighbours are those of a graph"
         pull = pull_to_neighbors(states, inputs.adjacency)

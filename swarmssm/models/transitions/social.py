@@ -59,7 +59,7 @@ class ForceTransition(KinematicTransition):
     :math:`p' = p + dt\, v'`.
 
     A subclass writes :attr:`social_terms`, :meth:`social_forces` and :meth:`social_derivative`, and
-    calls :meth:`give_own` after it has assigned parameters of its own.
+    calls :meth:`assign_self_terms` after it has assigned parameters of its own.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ class ForceTransition(KinematicTransition):
         self.noise = noise
         self.limit_tolerance = limit_tolerance
 
-    def give_own(
+    def assign_self_terms(
         self,
         *,
         process_noise: Any,
@@ -148,19 +148,19 @@ class ForceTransition(KinematicTransition):
         self.has_low, self.has_high = min_speed is not None, max_speed is not None
         if self.has_wall:
             box: list[tuple[int, ...]] = [(), (self.space,)]
-            self.give("wall_gain", wall_gain, constraints.real)
-            self.give("half_width", half_width, constraints.positive, box)
-            self.give("center", center, constraints.real, box)
+            self.assign_parameter("wall_gain", wall_gain, constraints.real)
+            self.assign_parameter("half_width", half_width, constraints.positive, box)
+            self.assign_parameter("center", center, constraints.real, box)
         if self.has_regulation:
-            self.give("relaxation_gain", relaxation_gain, constraints.real)
-            self.give("preferred_speed", preferred_speed, constraints.positive)
+            self.assign_parameter("relaxation_gain", relaxation_gain, constraints.real)
+            self.assign_parameter("preferred_speed", preferred_speed, constraints.positive)
         if self.has_low:
-            self.give("min_speed", min_speed, constraints.nonnegative)
+            self.assign_parameter("min_speed", min_speed, constraints.nonnegative)
         if self.has_high:
-            self.give("max_speed", max_speed, constraints.positive)
-        self.give("process_noise", process_noise, constraints.positive)
+            self.assign_parameter("max_speed", max_speed, constraints.positive)
+        self.assign_parameter("process_noise", process_noise, constraints.positive)
 
-    def give(
+    def assign_parameter(
         self,
         name: str,
         value: Any,
@@ -206,7 +206,7 @@ class ForceTransition(KinematicTransition):
         """
         raise TypeError(f"{type(self).__name__} must define social_derivative")
 
-    def social(self, states: Tensor, inputs: StepInputs) -> Tensor:
+    def pairwise(self, states: Tensor, inputs: StepInputs) -> Tensor:
         """Return what the social forces add to the next velocity."""
         found = self.social_forces(states, self._graph(states, inputs)).sum(-3)
         if inputs.present is not None:
@@ -214,7 +214,7 @@ class ForceTransition(KinematicTransition):
         return self._rate * found
 
     #: See :class:`~swarmssm.models.Transition`.
-    own_names: ClassVar[tuple[str, ...]] = (
+    self_parameter_names: ClassVar[tuple[str, ...]] = (
         "wall_gain",
         "half_width",
         "center",
@@ -225,9 +225,9 @@ class ForceTransition(KinematicTransition):
         "process_noise",
     )
 
-    def forget_own(self) -> None:
+    def drop_self_terms(self) -> None:
         """Give up walls, speed regulation, limits and noise."""
-        super().forget_own()
+        super().drop_self_terms()
         self.has_wall = self.has_regulation = self.has_low = self.has_high = False
 
     @property

@@ -27,7 +27,7 @@ class TypedTransition(Transition):
         \sum_{k > 1} \bigl[\mu_k(z, A_k) - \mu_k(z, 0)\bigr]
 
     with :math:`A_k` the edges of the type k and :math:`\mu_k` the mean of the k-th law
-    (:meth:`swarmssm.models.Transition.social`). Forces add up before limits of speed. Without
+    (:meth:`swarmssm.models.Transition.pairwise`). Forces add up before limits of speed. Without
     types in the inputs, all edges are of the first that acts.
 
     Parameters
@@ -69,9 +69,9 @@ class TypedTransition(Transition):
         return self.first.is_smooth
 
     @property
-    def free_dim(self) -> int:
+    def noise_dim(self) -> int:
         """That of the first law."""
-        return self.first.free_dim
+        return self.first.noise_dim
 
     def augmented(self, batch: SwarmBatch) -> SwarmBatch:
         """Return what the first law makes of the windows."""
@@ -97,13 +97,13 @@ class TypedTransition(Transition):
         moved = None
         for law, graph in zip(list(self.laws)[1:], others, strict=True):
             assert isinstance(law, Transition)
-            part = law.social(states, replace(inputs, adjacency=graph, edge_types=None))
+            part = law.pairwise(states, replace(inputs, adjacency=graph, edge_types=None))
             moved = part if moved is None else moved + part
         return following if moved is None else displaced(following, moved)
 
-    def free(self, states: Tensor) -> Tensor:
+    def stochastic_features(self, states: Tensor) -> Tensor:
         """Return the features that noise moves."""
-        return self.first.free(states)
+        return self.first.stochastic_features(states)
 
     def path(self, first: Tensor, free: Tensor) -> Tensor:
         """Return the path of first states and later free features."""
@@ -154,7 +154,7 @@ JITTER = 0.1
 
 def _apart(law: Transition) -> Transition:
     """Leave of a law what neighbours do, and move its weights a little."""
-    law.forget_own()
+    law.drop_self_terms()
     with torch.no_grad():
         for weight in law.parameters():
             if weight.dim() > 1:

@@ -3,7 +3,7 @@
 import numpy as np
 from matplotlib.colors import to_hex
 
-from swarmssm.analysis.report.embed import house_style
+from swarmssm.analysis.report.embed import report_style
 from swarmssm.analysis.report.panels import (
     as_panels,
     kernel_figures,
@@ -13,7 +13,7 @@ from swarmssm.analysis.report.panels import (
 
 
 def test_each_kernel_has_a_figure_with_the_truth(flock):
-    with house_style():
+    with report_style():
         figures = kernel_figures(flock.kernels)
         text = str(as_panels(figures, "k", "Kernels."))
     assert [len(figure.axes) for figure in figures] == [1, 1]
@@ -34,7 +34,7 @@ def test_the_direction_is_shown_where_it_counts(flock, shoal):
 
 
 def test_maps_say_whose_they_are(flock):
-    with house_style():
+    with report_style():
         figure = map_figure(flock.force_maps)
     titles = [ax.get_title() for ax in figure.axes[:4]]
     assert titles == [
@@ -47,7 +47,7 @@ def test_maps_say_whose_they_are(flock):
 
 
 def test_colours_of_the_page_are_left_to_it(flock):
-    with house_style():
+    with report_style():
         text = str(as_panels([map_figure(flock.force_maps)], "m", "Maps."))
     assert to_hex("black") not in text
     assert text.startswith("<svg")

@@ -236,11 +236,11 @@ def dense_judge():
             matrix = (moved - offset).T
             blocks = base.covariance_matrix.detach().expand(1, individuals, STATE, STATE)[0]
             noise = torch.block_diag(*blocks).numpy()
-            stays = there[t] & there[t + 1]
-            comes = there[t + 1] & ~there[t]
-            matrix = matrix * np.outer(stays, there[t])
-            offset = np.where(stays, offset, np.where(comes, fresh, 0.0))
-            noise = noise * np.outer(stays, stays) + spread * np.outer(comes, comes)
+            persists = there[t] & there[t + 1]
+            enters = there[t + 1] & ~there[t]
+            matrix = matrix * np.outer(persists, there[t])
+            offset = np.where(persists, offset, np.where(enters, fresh, 0.0))
+            noise = noise * np.outer(persists, persists) + spread * np.outer(enters, enters)
             matrices.append(matrix)
             offsets.append(offset)
             noises.append(noise)

@@ -49,7 +49,7 @@ def test_it_ends_at_the_most_probable_path(bent_swarm, windows, observed):
     assert (found.change < 1e-6).all()
     mean = found.smoothed.mean
     first = mean[:, 0].clone().requires_grad_()
-    free = model.transition.free(mean[:, 1:]).clone().requires_grad_()
+    free = model.transition.stochastic_features(mean[:, 1:]).clone().requires_grad_()
     path = model.transition.path(first, free)
     torch.testing.assert_close(path.detach(), mean, rtol=0, atol=1e-9)
     density = joint_density(model, batch, path)

@@ -44,8 +44,8 @@ def test_positions_of_a_kinematic_path_follow_from_its_velocities(absent, linear
     # A chain that checks its arguments refuses paths off the surface.
     assert torch.isfinite(model.chain(batch, {}).log_prob(drawn)).all()
     own = drawn[:, :, :-1, :, :2] + model.transition.dt * drawn[:, :, 1:, :, 2:]
-    stays = batch.present[:, 1:] & batch.present[:, :-1]
-    assert torch.equal(drawn[:, :, 1:, :, :2][:, stays], own[:, stays])
+    persists = batch.present[:, 1:] & batch.present[:, :-1]
+    assert torch.equal(drawn[:, :, 1:, :, :2][:, persists], own[:, persists])
     assert (drawn[:, ~batch.present] == 0).all()
 
 
@@ -76,7 +76,7 @@ def test_log_density_of_paths_is_that_of_the_dense_posterior(
     found = path_log_density(filtered, drawn)
     assert found.shape == (3, 1)
     mean, covariance = dense_judge(model, batch, 0).posterior()
-    free = filtered.system.window.free[0].reshape(-1).numpy()
+    free = filtered.system.window.stochastic_features[0].reshape(-1).numpy()
     # All else is a function of the free features, so that theirs is the density of the path.
     gap = (drawn[:, 0].reshape(3, -1).numpy() - mean)[:, free]
     spread = covariance[np.ix_(free, free)]
@@ -89,7 +89,9 @@ def test_log_density_of_paths_is_that_of_the_dense_posterior(
 
 def test_free_features_are_first_states_and_velocities(linear_swarm, windows):
     batch = windows(batch=1, times=6, absent=ABSENT)
-    free = extended_kalman(linear_swarm("kinematic"), batch, {}).system.window.free[0]
+    free = extended_kalman(linear_swarm("kinematic"), batch, {}).system.window.stochastic_features[
+        0
+    ]
     free = free.reshape(6, 3, STATE)
     assert free[0].tolist() == [[True] * 4, [True] * 4, [False] * 4]
     assert free[2].tolist() == [[False, False, True, True]] * 2 + [[True] * 4]

@@ -106,7 +106,7 @@ def test_one_type_that_is_an_edge_is_the_complete_graph():
     free = model.transition.path(batch.observations[:, 0], batch.observations[:, 1:, :, 2:])
     batch = replace(batch, observations=free)
     types = model.edges.prior(batch).sample()
-    put = model.edges.put(batch, types)
+    put = model.edges.with_edge_types(batch, types)
     assert torch.equal(put.adjacency, 1.0 - torch.eye(4).expand(2, 6, 4, 4))
     found = model.chain(put, {}).log_prob(batch.observations)
     assert torch.allclose(found, complete.chain(batch, {}).log_prob(batch.observations))

@@ -16,7 +16,7 @@ from swarmssm.models.transitions import (
     TypedTransition,
     typed,
 )
-from swarmssm.models.transitions.base import middle_of
+from swarmssm.models.transitions.base import location_of
 from swarmssm.models.transitions.typed import displaced
 
 DOUBLE = torch.float64
@@ -78,10 +78,10 @@ def test_what_neighbours_do_is_the_difference_that_edges_make():
     ]
     for law in laws:
         law.double()
-        whole = middle_of(law(states(), StepInputs(graph)))
-        alone = middle_of(law(states(), StepInputs(torch.zeros_like(graph))))
-        assert torch.allclose(law.social(states(), StepInputs(graph)), whole - alone)
-        assert whole.shape[-1] == law.free_dim
+        whole = location_of(law(states(), StepInputs(graph)))
+        alone = location_of(law(states(), StepInputs(torch.zeros_like(graph))))
+        assert torch.allclose(law.pairwise(states(), StepInputs(graph)), whole - alone)
+        assert whole.shape[-1] == law.noise_dim
 
 
 def test_laws_of_states_that_are_all_free():
@@ -93,7 +93,7 @@ def test_laws_of_states_that_are_all_free():
     found = two(states(), StepInputs(edge_types=chosen))
     one = two.first
     expected = one(states(), StepInputs(graphs[1])).mean
-    expected = expected + two.laws[1].social(states(), StepInputs(graphs[2]))
+    expected = expected + two.laws[1].pairwise(states(), StepInputs(graphs[2]))
     assert torch.allclose(found.mean, expected)
     assert torch.equal(
         found.covariance_matrix, one(states(), StepInputs(graphs[1])).covariance_matrix

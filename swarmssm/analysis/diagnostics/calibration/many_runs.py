@@ -20,7 +20,7 @@ from typing import Any, TextIO
 from swarmssm.errors import InputError, WorkError
 from swarmssm.files import check_output
 
-__all__ = ["Counted", "run_many"]
+__all__ = ["PieceProgress", "parallel_map"]
 
 #: One finished piece: what JSON can hold; it has ``failed`` if it went wrong.
 Row = dict[str, Any]
@@ -29,7 +29,7 @@ Work = Callable[[int], Row]
 
 
 @dataclass(frozen=True)
-class Counted:
+class PieceProgress:
     """How far the work has come.
 
     Attributes
@@ -45,7 +45,7 @@ class Counted:
     failed: int
 
 
-def run_many(
+def parallel_map(
     work: Work,
     indices: Sequence[int],
     *,
@@ -53,7 +53,7 @@ def run_many(
     out: str | Path | None = None,
     resume: bool = False,
     processes: int = 1,
-    progress: Callable[[Counted], None] | None = None,
+    progress: Callable[[PieceProgress], None] | None = None,
 ) -> list[Row]:
     """Do a piece of work for each of some numbers.
 
@@ -104,7 +104,7 @@ def run_many(
     def tell() -> None:
         if progress is not None:
             failed = sum("failed" in row for row in rows.values())
-            progress(Counted(len(rows), len(wanted), failed))
+            progress(PieceProgress(len(rows), len(wanted), failed))
 
     tell()
     begun = out is not None and out.exists()

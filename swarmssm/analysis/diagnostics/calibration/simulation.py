@@ -13,7 +13,7 @@ import torch
 import xarray as xr
 
 from swarmssm import inference
-from swarmssm.analysis.diagnostics.calibration.many_runs import Counted, Row, run_many
+from swarmssm.analysis.diagnostics.calibration.many_runs import PieceProgress, Row, parallel_map
 from swarmssm.analysis.diagnostics.calibration.parameter_names import named_draws, named_numbers
 from swarmssm.analysis.diagnostics.calibration.ranks import calibration_of_ranks
 from swarmssm.analysis.diagnostics.calibration.synthetic import (
@@ -140,7 +140,7 @@ def simulation_based_calibration(
     processes: int = 1,
     out: str | Path | None = None,
     resume: bool = False,
-    progress: Callable[[Counted], None] | None = None,
+    progress: Callable[[PieceProgress], None] | None = None,
     **settings: Any,
 ) -> xr.Dataset:
     r"""Calibrate a model and guide by simulation (Talts et al. 2018, arXiv:1804.06788).
@@ -227,7 +227,7 @@ def simulation_based_calibration(
     if not priors_of(fixed()):
         raise InputError(f"model: {fixed.name} has no parameter with a prior to be ranked.")
     if guide == "auto":
-        guide = fixed.usual_guide()
+        guide = fixed.default_guide()
     if guide == "linearized":
         settings["guide_options"] = {"given": 0, **settings.get("guide_options", {})}
     chosen = STATE_QUANTITIES if quantities is None else dict(quantities)
@@ -251,7 +251,7 @@ def simulation_based_calibration(
         "seed": seed,
         "fit": settings,
     }
-    rows = run_many(
+    rows = parallel_map(
         work,
         range(datasets),
         settings=told,

@@ -13,7 +13,7 @@ import xarray as xr
 from pyro.nn import PyroSample
 
 from swarmssm.errors import InputError, WorkError
-from swarmssm.inference.guides.registry import usual_guide
+from swarmssm.inference.guides.registry import default_guide
 from swarmssm.models import ObservedEdges, Scales, StateSpaceModel, find_model, with_priors
 from swarmssm.models.parameters import priors_of
 from swarmssm.tracks import MAX_COORDINATE, Array, make_tracks
@@ -131,10 +131,10 @@ class FixedModel:
             )
         return model
 
-    def usual_guide(self) -> str:
+    def default_guide(self) -> str:
         """Return the guide that is taken for the model where none is named."""
         name = self.model if isinstance(self.model, str) else ""
-        return usual_guide(name, self())
+        return default_guide(name, self())
 
 
 @dataclass(frozen=True)

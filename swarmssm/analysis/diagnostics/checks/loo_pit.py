@@ -13,7 +13,7 @@ import xarray as xr
 
 from swarmssm.analysis.diagnostics.calibration.ranks import calibration_of_ranks
 from swarmssm.analysis.diagnostics.checks.pit import RANKS, ranks_of
-from swarmssm.analysis.posterior.foresight import foresee
+from swarmssm.analysis.posterior.foresight import predict_one_step
 from swarmssm.analysis.scoring.subject import subject_of
 from swarmssm.errors import InputError
 from swarmssm.inference import Fit
@@ -73,7 +73,7 @@ def loo_pit(
         if value < least:
             raise InputError(f"{name}: it must be at least {least}, and it is {value}.")
     subject = subject_of(fit, tracks, part)
-    foreseen = foresee(subject.fit, subject.tracks, draws, seed, replicates=True)
+    foreseen = predict_one_step(subject.fit, subject.tracks, draws, seed, replicates=True)
     order = ("trial", "time", "individual", "space")
     truth = subject.tracks["position"].transpose(*order).to_numpy().astype(np.float64)
     density = np.broadcast_to(foreseen.density, (draws, *truth.shape[:-1]))

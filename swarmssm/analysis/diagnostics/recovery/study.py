@@ -16,7 +16,7 @@ import xarray as xr
 from scipy import stats
 
 from swarmssm import inference
-from swarmssm.analysis.diagnostics.calibration.many_runs import Counted, Row, run_many
+from swarmssm.analysis.diagnostics.calibration.many_runs import PieceProgress, Row, parallel_map
 from swarmssm.analysis.diagnostics.calibration.parameter_names import named_draws, named_numbers
 from swarmssm.analysis.diagnostics.calibration.synthetic import (
     UNIFORM_SIDE,
@@ -172,7 +172,7 @@ def recovery_study(
     processes: int = 1,
     out: str | Path | None = None,
     resume: bool = False,
-    progress: Callable[[Counted], None] | None = None,
+    progress: Callable[[PieceProgress], None] | None = None,
     **settings: Any,
 ) -> xr.Dataset:
     """Find known parameters again, from data sets of many kinds.
@@ -271,7 +271,7 @@ def recovery_study(
         "seed": seed,
         "fit": settings,
     }
-    rows = run_many(
+    rows = parallel_map(
         work,
         range(len(chosen) * datasets),
         settings=told,

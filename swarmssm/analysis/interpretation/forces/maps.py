@@ -25,7 +25,11 @@ from swarmssm.analysis.interpretation.forces.parabolas import (
     parabola,
     shortest_window,
 )
-from swarmssm.analysis.posterior.accelerations import PosteriorPaths, motion_of, posterior_paths
+from swarmssm.analysis.posterior.accelerations import (
+    PosteriorPaths,
+    acceleration_model,
+    posterior_paths,
+)
 from swarmssm.errors import InputError
 from swarmssm.graphs import nearest_distances
 from swarmssm.inference import Fit
@@ -159,7 +163,7 @@ def force_map(
     check_plane(tracks, "a force map")
     if extent is None:
         extent = default_extent(tracks)
-    motion = motion_of(fit)
+    motion = acceleration_model(fit)
     if paths is None:
         paths = posterior_paths(fit, tracks, draws, seed)
     total = paths.present.shape[0] * paths.present.shape[1]

@@ -27,9 +27,9 @@ from swarmssm.analysis.interpretation.forces.frames import (
     unit_of,
 )
 from swarmssm.analysis.posterior.accelerations import (
-    Motion,
+    AccelerationModel,
     PosteriorPaths,
-    motion_of,
+    acceleration_model,
     posterior_paths,
 )
 from swarmssm.analysis.posterior.intervals import QUANTILES, quantiles
@@ -114,7 +114,7 @@ def posterior_forces(
     InputError
         If ``draws`` is not positive, the tracks do not fit the model, or it has no law of motion.
     """
-    motion = motion_of(fit)
+    motion = acceleration_model(fit)
     if paths is None:
         paths = posterior_paths(fit, tracks, draws, seed)
     draws = paths.draws
@@ -182,7 +182,9 @@ def posterior_forces(
     )
 
 
-def _name(fit: Fit, motion: Motion, paths: PosteriorPaths, draw: int, out: Array) -> None:
+def _name(
+    fit: Fit, motion: AccelerationModel, paths: PosteriorPaths, draw: int, out: Array
+) -> None:
     """Write the named terms of a draw ``(frame, individual, space, term)``."""
     forgets = getattr(fit.model.transition, "form", "acceleration") == "velocity"
     for frames in frames_of(paths, draw):
@@ -200,7 +202,9 @@ def _name(fit: Fit, motion: Motion, paths: PosteriorPaths, draw: int, out: Array
         out[frames.rows] = named.numpy()
 
 
-def _project(fit: Fit, motion: Motion, paths: PosteriorPaths, draw: int, out: Array) -> Array:
+def _project(
+    fit: Fit, motion: AccelerationModel, paths: PosteriorPaths, draw: int, out: Array
+) -> Array:
     """Write the projected terms of a draw, and return the coefficients ``(column,)``."""
     size = len(COLUMNS)
     products, targets = torch.zeros(size, size, dtype=torch.float64), torch.zeros(size).double()

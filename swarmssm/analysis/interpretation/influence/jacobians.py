@@ -4,7 +4,7 @@ import pyro
 import torch
 
 from swarmssm.analysis.interpretation.inferred_graph import step_inputs
-from swarmssm.analysis.posterior.accelerations import Motion, Values
+from swarmssm.analysis.posterior.accelerations import AccelerationModel, Values
 from swarmssm.inference import Fit
 from swarmssm.models import StateSpaceModel
 from swarmssm.models.transitions import KinematicTransition
@@ -25,7 +25,7 @@ def has_closed_form(fit: Fit) -> bool:
 
 def acceleration_jacobian(
     fit: Fit,
-    motion: Motion,
+    motion: AccelerationModel,
     states: torch.Tensor,
     adjacency: torch.Tensor,
     present: torch.Tensor,
@@ -72,7 +72,7 @@ def acceleration_jacobian(
 
 def _linearized(
     fit: Fit,
-    motion: Motion,
+    motion: AccelerationModel,
     states: torch.Tensor,
     adjacency: torch.Tensor,
     present: torch.Tensor,
@@ -104,7 +104,7 @@ def _linearized(
 
 
 def _differentiated(
-    motion: Motion,
+    motion: AccelerationModel,
     states: torch.Tensor,
     adjacency: torch.Tensor,
     present: torch.Tensor,

@@ -40,7 +40,7 @@ import xarray as xr
 from swarmssm.errors import InputError
 from swarmssm.tracks import Array
 
-__all__ = ["Against", "find_leader", "find_loners"]
+__all__ = ["Against", "find_isolated", "find_leader"]
 
 Against = Literal["each", "rest"]
 #: Exchanges of names in the test by trials.
@@ -130,7 +130,7 @@ def find_leader(
     )
 
 
-def find_loners(influence: xr.Dataset, rate: float = 0.05, *, share: float = 0.5) -> xr.Dataset:
+def find_isolated(influence: xr.Dataset, rate: float = 0.05, *, share: float = 0.5) -> xr.Dataset:
     r"""Decide who neither moves the others nor is moved by them.
 
     An individual is declared not to move others if its weight is surely less than a ``share`` of

@@ -30,7 +30,7 @@ from swarmssm.analysis.interpretation.influence.jacobians import (
     acceleration_jacobian,
     has_closed_form,
 )
-from swarmssm.analysis.interpretation.influence.leaders import find_leader, find_loners
+from swarmssm.analysis.interpretation.influence.leaders import find_isolated, find_leader
 from swarmssm.analysis.interpretation.influence.ranks import rank_probabilities
 from swarmssm.analysis.interpretation.influence.weights import (
     label_weights,
@@ -38,9 +38,9 @@ from swarmssm.analysis.interpretation.influence.weights import (
     pair_weights,
 )
 from swarmssm.analysis.posterior.accelerations import (
-    Motion,
+    AccelerationModel,
     PosteriorPaths,
-    motion_of,
+    acceleration_model,
     posterior_paths,
 )
 from swarmssm.analysis.scoring.table import format_number
@@ -139,7 +139,7 @@ def influence(
     for name, value in (("stride", stride), ("length", length), ("speed", speed)):
         if value is not None and not (value > 0 and math.isfinite(value)):
             raise InputError(f"{name}: it must be a positive number, not {value!r}.")
-    motion = motion_of(fit)
+    motion = acceleration_model(fit)
     paths = posterior_paths(fit, tracks, draws, seed) if paths is None else paths
     draws = paths.draws
     trials, times, individuals = paths.present.shape
@@ -232,7 +232,7 @@ class _Influences(NamedTuple):
 
 def _along(
     fit: Fit,
-    motion: Motion,
+    motion: AccelerationModel,
     paths: PosteriorPaths,
     stride: int,
     length: float,
@@ -376,7 +376,7 @@ def _decision(influence: xr.Dataset, rate: float) -> str:
     else:
         text = f"By the weights of individuals, none counts for more than every other ({asked})."
     if "responsiveness" in influence:
-        loners = find_loners(influence, rate).attrs["loners"]
+        loners = find_isolated(influence, rate).attrs["loners"]
         if loners:
             text += f" Neither moving others nor moved by them: {loners}."
     return text

@@ -20,7 +20,11 @@ import xarray as xr
 from swarmssm.analysis.interpretation.forces.frames import unit_of
 from swarmssm.analysis.interpretation.kernels.pair_distances import pair_distances
 from swarmssm.analysis.interpretation.kernels.radial import project
-from swarmssm.analysis.posterior.accelerations import PosteriorPaths, motion_of, posterior_paths
+from swarmssm.analysis.posterior.accelerations import (
+    PosteriorPaths,
+    acceleration_model,
+    posterior_paths,
+)
 from swarmssm.analysis.posterior.intervals import QUANTILES, quantiles
 from swarmssm.analysis.scoring.table import format_number
 from swarmssm.errors import InputError
@@ -121,7 +125,7 @@ def interaction_kernels(
     """
     if draws < 1:
         raise InputError(f"draws: there must be at least 1, not {draws}.")
-    motion = motion_of(fit)
+    motion = acceleration_model(fit)
     if paths is None:
         paths = posterior_paths(fit, tracks, min(draws, PATHS), seed)
     pairs = pair_distances(fit, paths)

@@ -13,7 +13,7 @@ from swarmssm.analysis.interpretation.forces.frames import (
     own_columns,
     seen_graph,
 )
-from swarmssm.analysis.posterior.accelerations import Motion, PosteriorPaths
+from swarmssm.analysis.posterior.accelerations import AccelerationModel, PosteriorPaths
 from swarmssm.inference import Fit
 from swarmssm.inference.prediction import seeded
 from swarmssm.tracks import Array
@@ -58,7 +58,7 @@ class _Normal(NamedTuple):
 
 def project(
     fit: Fit,
-    motion: Motion,
+    motion: AccelerationModel,
     paths: PosteriorPaths,
     support: tuple[float, float],
     distances: Array,
@@ -127,7 +127,9 @@ def _penalty() -> Array:
     return out
 
 
-def _normal(fit: Fit, motion: Motion, paths: PosteriorPaths, draw: int, knots: Array) -> _Normal:
+def _normal(
+    fit: Fit, motion: AccelerationModel, paths: PosteriorPaths, draw: int, knots: Array
+) -> _Normal:
     """Add up the normal equations of a draw by blocks of time."""
     trials, times, _ = paths.present.shape
     total = trials * times

@@ -11,7 +11,7 @@ import xarray as xr
 
 from swarmssm import forces
 from swarmssm.analysis.interpretation.inferred_graph import law_graph, step_inputs
-from swarmssm.analysis.posterior.accelerations import motion_of
+from swarmssm.analysis.posterior.accelerations import acceleration_model
 from swarmssm.errors import InputError
 from swarmssm.inference import Fit
 from swarmssm.inference.guides import PathGuide
@@ -203,7 +203,7 @@ class View:
         transition = model.transition
         adjacency = law_graph(fit, self.prepared)
         if kinematic and len(getattr(transition, "terms", [])):
-            motion = motion_of(fit)
+            motion = acceleration_model(fit)
             still = torch.from_numpy(np.nan_to_num(self.states))
             with torch.no_grad():
                 found = motion.forces(still, adjacency.to(torch.float64), present)
@@ -288,7 +288,7 @@ class View:
     def _acceleration(self) -> Array | None:
         """Return what the model expects; ``None``, it has no law of motion."""
         try:
-            motion = motion_of(self.fit)
+            motion = acceleration_model(self.fit)
         except InputError:
             return None
         states = torch.from_numpy(self.states)

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from swarmssm.analysis.posterior.foresight import foresee
+from swarmssm.analysis.posterior.foresight import predict_one_step
 from swarmssm.analysis.posterior.log_likelihood import Window, window_sums, windows_over
 from swarmssm.analysis.scoring.compare.importance import LeftOut, good_k, psis_lfo, psis_loo
 from swarmssm.analysis.scoring.compare.ranking import ranked, ranking
@@ -46,7 +46,7 @@ def by_windows(
     for name, fit in fits.items():
         if progress is not None:
             progress(f"filtering with {name}")
-        found = foresee(fit, tracks, draws, seed)
+        found = predict_one_step(fit, tracks, draws, seed)
         densities[name] = np.logical_and.reduce(~np.isnan(found.density), axis=0)
         joints[name], hows[name] = found.joint, found.how
     scored, more = _common(densities)

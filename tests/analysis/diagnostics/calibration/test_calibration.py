@@ -10,7 +10,7 @@ import torch
 from scipy import stats
 
 from swarmssm.analysis.diagnostics.calibration import simulation as calibration
-from swarmssm.analysis.diagnostics.calibration.many_runs import Counted
+from swarmssm.analysis.diagnostics.calibration.many_runs import PieceProgress
 from swarmssm.analysis.diagnostics.calibration.ranks import (
     calibration_of_ranks,
     calibration_sentence,
@@ -202,7 +202,7 @@ def test_gone_on_with_after_a_power_cut(study, tmp_path):
     whole, kept = study
     out = tmp_path / "sbc.jsonl"
     out.write_bytes(kept.read_bytes()[:-30])
-    told: list[Counted] = []
+    told: list[PieceProgress] = []
     again = simulation_based_calibration(
         "linear", datasets=2, out=out, resume=True, progress=told.append, **TINY, **PATHS
     )

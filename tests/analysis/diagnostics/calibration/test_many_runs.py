@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from swarmssm.analysis.diagnostics.calibration import many_runs
-from swarmssm.analysis.diagnostics.calibration.many_runs import Counted, run_many
+from swarmssm.analysis.diagnostics.calibration.many_runs import PieceProgress, parallel_map
 from swarmssm.errors import InputError, WorkError
 
 
@@ -51,7 +51,7 @@ def values(rows):
 @pytest.mark.parametrize("processes", [1, 2])
 def test_rows_come_in_order_and_stand_in_the_file(tmp_path, elsewhere, processes):
     out = tmp_path / "rows.jsonl"
-    rows = run_many(elsewhere.square, range(4), settings={"a": 1}, out=out, processes=processes)
+    rows = parallel_map(elsewhere.square, range(4), settings={"a": 1}, out=out, processes=processes)
     assert values(rows) == [0, 1, 4, 9]
     lines = [json.loads(line) for line in out.read_text().splitlines()]
     assert lines[0] == {"settings": {"a": 1}}
@@ -60,7 +60,7 @@ def test_rows_come_in_order_and_stand_in_the_file(tmp_path, elsewhere, processes
 
 @pytest.mark.slow
 def test_processes_begin_as_they_should(elsewhere):
-    assert values(run_many(elsewhere.threads, range(2), settings={}, processes=2)) == [1, 1]
+    assert values(parallel_map(elsewhere.threads, range(2), settings={}, processes=2)) == [1, 1]
 
 
 def test_a_process_has_one_thread_and_ends_when_told():
@@ -77,14 +77,14 @@ def test_a_process_has_one_thread_and_ends_when_told():
 def test_what_was_interrupted_is_gone_on_with(tmp_path):
     out = tmp_path / "rows.jsonl"
     with pytest.raises(KeyboardInterrupt):
-        run_many(interrupt_at_three, range(5), settings={}, out=out)
+        parallel_map(interrupt_at_three, range(5), settings={}, out=out)
     done = []
 
     def notice(index):
         done.append(index)
         return square(index)
 
-    rows = run_many(notice, range(6), settings={}, out=out, resume=True)
+    rows = parallel_map(notice, range(6), settings={}, out=out, resume=True)
     assert done == [3, 4, 5]
     assert values(rows) == [0, 1, 4, 9, 16, 25]
 
@@ -92,34 +92,36 @@ def test_what_was_interrupted_is_gone_on_with(tmp_path):
 @pytest.mark.parametrize("cut", [1, 5, 12])
 def test_a_half_written_line_is_mended(tmp_path, cut):
     out = tmp_path / "rows.jsonl"
-    run_many(square, range(3), settings={"a": 1}, out=out)
+    parallel_map(square, range(3), settings={"a": 1}, out=out)
     whole = out.read_bytes()
     out.write_bytes(whole[:-cut])
     told = []
-    rows = run_many(square, range(3), settings={"a": 1}, out=out, resume=True, progress=told.append)
+    rows = parallel_map(
+        square, range(3), settings={"a": 1}, out=out, resume=True, progress=told.append
+    )
     assert values(rows) == [0, 1, 4]
-    assert told == [Counted(2, 3, 0), Counted(3, 3, 0)]
+    assert told == [PieceProgress(2, 3, 0), PieceProgress(3, 3, 0)]
     assert out.read_bytes() == whole
 
 
 def test_a_first_line_that_was_not_finished_begins_anew(tmp_path):
     out = tmp_path / "rows.jsonl"
     out.write_text('{"settings": {"a"')
-    assert values(run_many(square, [2], settings={"a": 1}, out=out, resume=True)) == [4]
+    assert values(parallel_map(square, [2], settings={"a": 1}, out=out, resume=True)) == [4]
     assert json.loads(out.read_text().splitlines()[0]) == {"settings": {"a": 1}}
 
 
 def test_failures_are_counted():
     told = []
-    run_many(square_or_fail, range(4), settings={}, progress=told.append)
+    parallel_map(square_or_fail, range(4), settings={}, progress=told.append)
     assert [count.failed for count in told] == [0, 0, 1, 1, 2]
 
 
 def test_what_is_finished_is_not_replaced(tmp_path):
     out = tmp_path / "rows.jsonl"
-    run_many(square, [1], settings={}, out=out)
+    parallel_map(square, [1], settings={}, out=out)
     with pytest.raises(InputError, match="exists already"):
-        run_many(square, [1], settings={}, out=out)
+        parallel_map(square, [1], settings={}, out=out)
 
 
 @pytest.mark.parametrize(
@@ -136,25 +138,25 @@ def test_a_file_that_does_not_fit_is_refused_and_kept(tmp_path, text, words):
     out = tmp_path / "rows.jsonl"
     out.write_text(text)
     with pytest.raises(InputError, match=words):
-        run_many(square, [1], settings={"a": 1}, out=out, resume=True)
+        parallel_map(square, [1], settings={"a": 1}, out=out, resume=True)
     assert out.read_text() == text
 
 
 def test_what_cannot_be_sent_to_another_process_is_said():
     with pytest.raises(InputError, match="processes=1"):
-        run_many(lambda index: {}, range(2), settings={}, processes=2)
+        parallel_map(lambda index: {}, range(2), settings={}, processes=2)
 
 
 @pytest.mark.usefixtures("light")
 def test_a_process_that_dies_does_not_hang(elsewhere):
     with pytest.raises(WorkError, match="ended from outside"):
-        run_many(elsewhere.die, range(2), settings={}, processes=2)
+        parallel_map(elsewhere.die, range(2), settings={}, processes=2)
 
 
 @pytest.mark.parametrize("processes", [0, True, 1.5])
 def test_a_number_of_processes(processes):
     with pytest.raises(InputError, match="processes"):
-        run_many(square, [1], settings={}, processes=processes)
+        parallel_map(square, [1], settings={}, processes=processes)
 
 
 def test_a_mistake_of_the_first_piece_leaves_nothing(tmp_path):
@@ -163,9 +165,9 @@ def test_a_mistake_of_the_first_piece_leaves_nothing(tmp_path):
 
     out = tmp_path / "rows.jsonl"
     with pytest.raises(InputError, match="weather"):
-        run_many(refuse, range(2), settings={}, out=out)
+        parallel_map(refuse, range(2), settings={}, out=out)
     assert not out.exists()
-    run_many(square, range(1), settings={}, out=out)
+    parallel_map(square, range(1), settings={}, out=out)
     with pytest.raises(InputError, match="weather"):
-        run_many(refuse, range(2), settings={}, out=out, resume=True)
+        parallel_map(refuse, range(2), settings={}, out=out, resume=True)
     assert len(out.read_text().splitlines()) == 2

@@ -9,7 +9,7 @@ import torch
 import xarray as xr
 
 from swarmssm import simulate
-from swarmssm.analysis.posterior.accelerations import Motion
+from swarmssm.analysis.posterior.accelerations import AccelerationModel
 from swarmssm.inference import Fit
 from swarmssm.inference.data import preparation_for
 from swarmssm.inference.guides import ParameterGuide
@@ -85,7 +85,7 @@ def packed_boids() -> xr.Dataset:
     return simulate.simulate_boids(6, 80, 2, seed=1, half_width=1.5, process_noise=0.0)
 
 
-def accelerations(motion: Motion, fit: Fit, tracks: xr.Dataset) -> torch.Tensor:
+def accelerations(motion: AccelerationModel, fit: Fit, tracks: xr.Dataset) -> torch.Tensor:
     """Return what a law expects at the tracks themselves, ``(trial, time, individual, space)``."""
     prepared = fit.prepare(tracks)
     with torch.no_grad():

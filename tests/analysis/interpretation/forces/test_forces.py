@@ -16,7 +16,7 @@ from swarmssm.analysis.interpretation.forces.posterior import (
     sentence,
 )
 from swarmssm.analysis.interpretation.forces.truth import force_agreement, true_forces
-from swarmssm.analysis.posterior.accelerations import motion_of
+from swarmssm.analysis.posterior.accelerations import acceleration_model
 from swarmssm.errors import InputError
 from swarmssm.inference import Fit
 from swarmssm.models import LatentEdges
@@ -111,7 +111,7 @@ def test_terms_add_up_to_the_expected_acceleration(
         kind = {"kind": nameless} if name == "nameless" else {}
         fit = make_fit(walled, make_law(**kind, **WALL, **LIMITS, noise="multiplicative"))
     forces = posterior_forces(fit, walled, draws=1)
-    whole = expected(motion_of(fit), fit, walled)
+    whole = expected(acceleration_model(fit), fit, walled)
     size = float(whole.abs().max())
     summed = forces["force"].isel(draw=0).sum("term", skipna=False).to_numpy()
     np.testing.assert_allclose(summed, whole.numpy(), atol=2e-5 * max(size, 1.0))

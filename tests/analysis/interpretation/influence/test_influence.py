@@ -16,7 +16,7 @@ from swarmssm.analysis.interpretation.influence.jacobians import (
 from swarmssm.analysis.interpretation.influence.posterior import influence, sentence
 from swarmssm.analysis.interpretation.influence.ranks import rank_probabilities
 from swarmssm.analysis.interpretation.influence.weights import WEIGHT_SAMPLES
-from swarmssm.analysis.posterior.accelerations import motion_of, posterior_paths
+from swarmssm.analysis.posterior.accelerations import acceleration_model, posterior_paths
 from swarmssm.analysis.scoring.table import format_number
 from swarmssm.errors import InputError
 from swarmssm.models.transitions import BoidsTransition, SplineBasis
@@ -31,7 +31,7 @@ def jacobians(fit, tracks, **options):
     paths = posterior_paths(fit, tracks, 1)
     return acceleration_jacobian(
         fit,
-        motion_of(fit),
+        acceleration_model(fit),
         paths.states[0].flatten(0, 1),
         paths.adjacency.flatten(0, 1),
         paths.present.flatten(0, 1),
@@ -108,7 +108,7 @@ def test_closed_form_and_differentiation_agree(make_fit, make_kernels, tracks, n
 def test_differentiation_agrees_with_finite_differences(quick_fit, boids):
     """Of a network, in single precision: central differences of 1e-2 of a scale, within 1 %."""
     tracks = boids.isel(trial=[0], time=slice(5, 8))
-    motion = motion_of(quick_fit)
+    motion = acceleration_model(quick_fit)
     assert not has_closed_form(quick_fit)
     paths = posterior_paths(quick_fit, tracks, 1)
     states, graph, present = paths.states[0, 0], paths.adjacency[0], paths.present[0]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from swarmssm.analysis.interpretation.influence.leaders import find_leader, find_loners
+from swarmssm.analysis.interpretation.influence.leaders import find_isolated, find_leader
 from swarmssm.errors import InputError
 
 DATA_SETS = 250
@@ -121,7 +121,7 @@ def test_the_loner_is_recognised():
     rng = np.random.default_rng(4)
     sent = posterior(np.log([1.0, 0.1, 0.1, 1.0, 1.0]), rng)
     received = posterior(np.log([1.0, 0.1, 1.0, 1.0, 1.0]), rng)
-    found = find_loners(labelled(sent, received))
+    found = find_isolated(labelled(sent, received))
     assert found["moves_nobody"].values.tolist() == [False, True, True, False, False]
     assert found["is_unmoved"].values.tolist() == [False, True, False, False, False]
     assert found.attrs["loners"] == "fish1"
@@ -134,7 +134,7 @@ def test_who_has_the_share_is_seldom_called_without_influence():
     rng = np.random.default_rng(5)
     truth = np.log([0.5, 1.0, 1.0, 1.0, 1.0])
     called = [
-        bool(find_loners(labelled(*both))["moves_nobody"][0])
+        bool(find_isolated(labelled(*both))["moves_nobody"][0])
         for both in (
             (posterior(truth, rng, 2000), posterior(truth, rng, 2000)) for _ in range(DATA_SETS)
         )
@@ -155,6 +155,6 @@ def test_mistakes(options, word):
 def test_mistakes_of_loners():
     weights = labelled(np.ones((1000, 3)), np.ones((1000, 3)))
     with pytest.raises(InputError, match="share"):
-        find_loners(weights, share=1.0)
+        find_isolated(weights, share=1.0)
     with pytest.raises(InputError, match="draws"):
-        find_loners(weights, 1e-4)
+        find_isolated(weights, 1e-4)
