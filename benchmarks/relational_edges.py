@@ -30,9 +30,9 @@ import numpy as np
 import torch
 from sklearn.metrics import roc_auc_score
 
+from swarmssm.analysis.scoring.baseline import Training
 from swarmssm.baselines.dnri import DynamicRelationalInference
 from swarmssm.baselines.nri import NeuralRelationalInference, RecurrentRelationalInference
-from swarmssm.baselines.training import Training
 from swarmssm.simulate import simulate_boids, simulate_charged, simulate_springs
 from swarmssm.tracks import states_of
 

@@ -1,11 +1,10 @@
-"""Rivals to hold a model against: the simplest forecasts that anybody would try first."""
+"""Methods to compare a model with, beyond the two references of :mod:`swarmssm.analysis.scoring`.
 
-from swarmssm.baselines.base import Baseline
-from swarmssm.baselines.constant_velocity import ConstantVelocity
-from swarmssm.baselines.stay_put import StayPut
+Each is a file with a subclass of :class:`Baseline`, and an entry in
+:data:`swarmssm.baselines.registry.BASELINES`.
+"""
 
-__all__ = ["BASELINES", "Baseline", "ConstantVelocity", "StayPut"]
+from swarmssm.analysis.scoring.baseline import Baseline, Training
+from swarmssm.baselines.registry import BASELINES, baseline_named
 
-BASELINES: dict[str, type[Baseline]] = {
-    baseline.name: baseline for baseline in (StayPut, ConstantVelocity)
-}
+__all__ = ["BASELINES", "Baseline", "Training", "baseline_named"]

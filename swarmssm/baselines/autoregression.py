@@ -4,11 +4,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from swarmssm.baselines.base import Baseline
+from swarmssm.analysis.scoring.baseline import Baseline, Training
 from swarmssm.baselines.gaps import fill_gaps
 from swarmssm.baselines.regression import AffineMap, ridge_maps
 from swarmssm.baselines.selection import best_of, learning_and_judging_parts
-from swarmssm.baselines.training import Training
 from swarmssm.errors import InputError
 from swarmssm.metrics.masked import known
 from swarmssm.tracks import Array

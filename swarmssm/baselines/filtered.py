@@ -6,9 +6,8 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.optimize
 
-from swarmssm.baselines.base import Baseline
+from swarmssm.analysis.scoring.baseline import Baseline, Training
 from swarmssm.baselines.jump_filter import JumpModel
-from swarmssm.baselines.training import Training
 from swarmssm.errors import InputError
 from swarmssm.metrics.masked import known
 from swarmssm.tracks import Array

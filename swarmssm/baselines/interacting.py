@@ -4,6 +4,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from swarmssm.analysis.scoring.baseline import Training
 from swarmssm.baselines.filtered import (
     LEAST_TRACKING_ERROR,
     FilteredBaseline,
@@ -11,7 +12,6 @@ from swarmssm.baselines.filtered import (
 )
 from swarmssm.baselines.jump_filter import JumpModel
 from swarmssm.baselines.kalman import random_walk_noise, straight_motion
-from swarmssm.baselines.training import Training
 from swarmssm.tracks import Array
 
 __all__ = ["InteractingModels", "turning_motion"]

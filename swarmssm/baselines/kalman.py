@@ -4,13 +4,13 @@ from typing import ClassVar
 
 import numpy as np
 
+from swarmssm.analysis.scoring.baseline import Training
 from swarmssm.baselines.filtered import (
     LEAST_TRACKING_ERROR,
     FilteredBaseline,
     typical_noise,
 )
 from swarmssm.baselines.jump_filter import JumpModel
-from swarmssm.baselines.training import Training
 from swarmssm.tracks import Array
 
 __all__ = ["KalmanVelocity", "random_walk_noise", "straight_motion"]

@@ -12,9 +12,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from swarmssm.baselines.base import Baseline
+from swarmssm.analysis.scoring.baseline import Baseline, Training
 from swarmssm.baselines.step_network import Memory, Setting, StepNetwork
-from swarmssm.baselines.training import Training
 from swarmssm.baselines.windows import (
     Trials,
     Windows,
@@ -86,6 +85,7 @@ class NeuralBaseline(Baseline):
         stay so: then everybody sees everybody.
     """
 
+    is_random: ClassVar[bool] = True
     order: int = 20
     ahead: ClassVar[int] = 6
     epochs: ClassVar[int] = 100

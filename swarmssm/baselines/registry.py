@@ -2,17 +2,17 @@
 
 import importlib
 
-from swarmssm.baselines.base import Baseline
+from swarmssm.analysis.scoring.baseline import Baseline
 from swarmssm.errors import InputError
 from swarmssm.models.registry import find_part
 
-__all__ = ["BASELINES", "UNSEEDED", "rival"]
+__all__ = ["BASELINES", "baseline_named"]
 
 PLACE = "swarmssm.baselines"
-#: Name -> module and class.
+#: Name -> module of this folder (or of the package, in full) and class.
 BASELINES = {
-    "stay-put": "stay_put:StayPut",
-    "constant-velocity": "constant_velocity:ConstantVelocity",
+    "stay-put": "swarmssm.analysis.scoring.references:StayPut",
+    "constant-velocity": "swarmssm.analysis.scoring.references:ConstantVelocity",
     "kalman": "kalman:KalmanVelocity",
     "imm": "interacting:InteractingModels",
     "ar1": "autoregression:AR1",
@@ -20,7 +20,7 @@ BASELINES = {
     "ridge-boids": "ridge_boids:RidgeBoids",
     "sindy-boids": "sindy:SindyBoids",
     "sindy-generic": "sindy:SindyGeneric",
-    "sindy-told": "sindy_told:SindyTold",
+    "sindy-oracle": "sindy_oracle:SindyOracle",
     "sindy-pi": "sindy_pi:SindyPI",
     "sindy-autoencoder": "sindy_autoencoder:SindyAutoencoder",
     "lstm": "lstm:LSTM",
@@ -34,25 +34,9 @@ BASELINES = {
     "nri-rnn": "nri:RecurrentRelationalInference",
     "dnri": "dnri:DynamicRelationalInference",
 }
-#: Those that draw nothing while they learn.
-UNSEEDED = frozenset(
-    {
-        "stay-put",
-        "constant-velocity",
-        "kalman",
-        "imm",
-        "ar1",
-        "ar5",
-        "ridge-boids",
-        "sindy-boids",
-        "sindy-generic",
-        "sindy-told",
-        "sindy-pi",
-    }
-)
 
 
-def rival(name: str) -> type[Baseline]:
+def baseline_named(name: str) -> type[Baseline]:
     """Return a baseline by its name.
 
     Parameters
@@ -72,8 +56,9 @@ def rival(name: str) -> type[Baseline]:
             raise InputError(f"method: {name} is no Baseline. Make it a subclass of Baseline.")
         return own
     module, _, attribute = BASELINES[name].partition(":")
+    full = module if "." in module else f"{PLACE}.{module}"
     try:
-        found: type[Baseline] = getattr(importlib.import_module(f"{PLACE}.{module}"), attribute)
+        found: type[Baseline] = getattr(importlib.import_module(full), attribute)
     except ModuleNotFoundError as error:
         raise InputError(
             f"{name}: the library {error.name} is not installed. pip install 'swarmssm[benchmark]' "

@@ -6,9 +6,9 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
+from swarmssm.analysis.scoring.baseline import Training
 from swarmssm.baselines.neural import NeuralBaseline
 from swarmssm.baselines.relational_decoders import PerceptronDecoder, RecurrentDecoder
-from swarmssm.baselines.training import Training
 from swarmssm.baselines.windows import Trials, Windows
 from swarmssm.errors import InputError
 from swarmssm.models.relational import pairs_of
@@ -30,7 +30,7 @@ class RelationalBaseline(NeuralBaseline):
     that it is never below the mean square of recent errors: as long as the decoder is bad, these
     would else decide on the edges before they can tell. From randomly chosen frames the decoder
     goes on by itself over a number of steps that is drawn anew for each batch; at first it is one.
-    The graph of :class:`~swarmssm.baselines.training.Training` is not looked at.
+    The graph of :class:`~swarmssm.analysis.scoring.baseline.Training` is not looked at.
 
     Attributes
     ----------

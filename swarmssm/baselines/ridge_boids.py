@@ -4,6 +4,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from swarmssm.analysis.scoring.baseline import Training
 from swarmssm.baselines.regression import AffineMap, ridge_maps
 from swarmssm.baselines.selection import best_of, learning_and_judging_parts
 from swarmssm.baselines.social_terms import (
@@ -11,7 +12,6 @@ from swarmssm.baselines.social_terms import (
     accelerations,
     social_terms,
 )
-from swarmssm.baselines.training import Training
 from swarmssm.errors import InputError
 from swarmssm.graphs import GraphRule
 from swarmssm.metrics.masked import known

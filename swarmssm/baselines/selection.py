@@ -5,8 +5,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from swarmssm.baselines.base import Baseline
-from swarmssm.baselines.training import Training
+from swarmssm.analysis.scoring.baseline import Baseline, Training
 from swarmssm.metrics.masked import known
 from swarmssm.tracks import Array
 

@@ -5,6 +5,7 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from swarmssm.analysis.scoring.baseline import Training
 from swarmssm.baselines.library import (
     Term,
     monomials,
@@ -18,7 +19,6 @@ from swarmssm.baselines.social_terms import (
     accelerations,
     social_terms,
 )
-from swarmssm.baselines.training import Training
 from swarmssm.errors import InputError
 from swarmssm.graphs import GraphRule
 from swarmssm.metrics.masked import known

@@ -10,11 +10,10 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from swarmssm.baselines.base import Baseline
+from swarmssm.analysis.scoring.baseline import Baseline, Training
 from swarmssm.baselines.gaps import fill_gaps
 from swarmssm.baselines.selection import rollout_error
 from swarmssm.baselines.social_terms import social_terms
-from swarmssm.baselines.training import Training
 from swarmssm.errors import InputError
 from swarmssm.graphs import GraphRule
 from swarmssm.metrics.masked import known
@@ -160,6 +159,7 @@ class SindyAutoencoder(Baseline):
     name: ClassVar[str] = "sindy-autoencoder"
     title: ClassVar[str] = "SINDy autoencoder"
     paper: ClassVar[str] = "Champion, Lusch, Kutz and Brunton 2019, doi:10.1073/pnas.1906995116"
+    is_random: ClassVar[bool] = True
     order: int = 5
     steps: ClassVar[int] = 4000
     batch: ClassVar[int] = 1024

@@ -7,12 +7,12 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.optimize
 
+from swarmssm.analysis.scoring.baseline import Training
 from swarmssm.baselines.library import monomials, sparse_coefficients
 from swarmssm.baselines.regression import compress
 from swarmssm.baselines.selection import learning_and_judging_parts
 from swarmssm.baselines.sindy import ROWS_AT_ONCE, SindyBoids
 from swarmssm.baselines.social_terms import accelerations
-from swarmssm.baselines.training import Training
 from swarmssm.errors import InputError
 from swarmssm.metrics.masked import known
 from swarmssm.tracks import Array

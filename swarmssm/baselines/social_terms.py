@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from swarmssm import forces
-from swarmssm.baselines.base import Baseline
+from swarmssm.analysis.scoring.baseline import Baseline
 from swarmssm.graphs import GraphRule
 from swarmssm.metrics.masked import known
 from swarmssm.tracks import Array

@@ -10,13 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from swarmssm import metrics
+from swarmssm.analysis.scoring.baseline import Baseline, Training
 from swarmssm.analysis.scoring.densities import position_scores
 from swarmssm.analysis.scoring.forecasters import Forecaster, ModelForecaster
 from swarmssm.analysis.scoring.free_runs import collective_scores
 from swarmssm.analysis.scoring.subject import subject_of
-from swarmssm.baselines.base import Baseline
-from swarmssm.baselines.registry import BASELINES, rival
-from swarmssm.baselines.training import Training
+from swarmssm.baselines.registry import BASELINES, baseline_named
 from swarmssm.benchmark.edges import edge_scores
 from swarmssm.benchmark.own import OWN
 from swarmssm.benchmark.rivals import RivalForecaster
@@ -129,14 +128,16 @@ def _fitted(
             "parameters": fit.num_parameters,
         }
         return forecaster, about, fit
-    baseline: Baseline = true_rule(task) if name == FLOOR else rival(name).for_tracks(task.tracks)
+    baseline: Baseline = (
+        true_rule(task) if name == FLOOR else baseline_named(name).for_tracks(task.tracks)
+    )
     terms = Training(
         task.validation, None if task.graph == "complete" else task.rule(), seconds, seed
     )
     baseline.fit_states(task.training, task.fps, terms)
     about = {
         "title": baseline.title,
-        "told": baseline.told,
+        "told": baseline.knows_true_form,
         "parameters": baseline.num_parameters,
     }
     return RivalForecaster(task, baseline), about, baseline

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from swarmssm.analysis.scoring.baseline import Baseline
 from swarmssm.analysis.scoring.baseline_errors import baseline_covariances
-from swarmssm.baselines import Baseline
 from swarmssm.benchmark.task import HISTORY, Task
 from swarmssm.metrics.masked import known
 from swarmssm.tracks import Array

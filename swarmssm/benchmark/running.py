@@ -1,5 +1,6 @@
 """Measure many methods, each in a process of its own."""
 
+import contextlib
 import json
 import math
 import multiprocessing
@@ -51,12 +52,12 @@ def jobs_of(methods: Sequence[str], seeds: int) -> list[Job]:
     InputError
         If there is no such method, one stands there twice, or there are no seeds.
     """
-    from swarmssm.baselines.registry import UNSEEDED, rival
+    from swarmssm.baselines.registry import BASELINES, baseline_named
     from swarmssm.benchmark.measuring import METHODS
 
     for name in methods:
         if ":" in name:
-            rival(name)
+            baseline_named(name)
         elif name not in METHODS:
             raise InputError(
                 f"methods: {name!r} is unknown; choose all, some of {', '.join(METHODS)}, or name "
@@ -68,7 +69,16 @@ def jobs_of(methods: Sequence[str], seeds: int) -> list[Job]:
         raise InputError("methods: none is given.")
     if seeds < 1:
         raise InputError(f"seeds: it must be at least 1, and it is {seeds}.")
-    return [Job(name, seed) for name in methods for seed in range(1 if name in UNSEEDED else seeds)]
+
+    def repeats(name: str) -> int:
+        # The package's own models draw; a library that is missing shows when the method runs.
+        if seeds == 1 or (name not in BASELINES and ":" not in name):
+            return seeds
+        with contextlib.suppress(InputError):
+            return seeds if baseline_named(name).is_random else 1
+        return seeds
+
+    return [Job(name, seed) for name in methods for seed in range(repeats(name))]
 
 
 #: The true rule draws nothing while it learns nothing.

@@ -5,7 +5,7 @@ from typing import ClassVar
 import numpy as np
 import torch
 
-from swarmssm.baselines import Baseline
+from swarmssm.analysis.scoring.baseline import Baseline
 from swarmssm.benchmark.task import Task
 from swarmssm.errors import InputError
 from swarmssm.metrics.masked import known
@@ -24,7 +24,7 @@ class TrueRule(Baseline):
 
     name: ClassVar[str] = "noise-floor"
     title: ClassVar[str] = "true rule (noise floor)"
-    told: ClassVar[bool] = True
+    knows_true_form: ClassVar[bool] = True
 
     def __init__(self, law: Law) -> None:
         super().__init__()

@@ -7,7 +7,7 @@ import pytest
 
 from swarmssm.analysis import evaluate
 from swarmssm.analysis.scoring.baseline_errors import baseline_covariances
-from swarmssm.baselines import ConstantVelocity, StayPut
+from swarmssm.analysis.scoring.references import ConstantVelocity, StayPut
 
 
 def test_errors_of_a_baseline_in_a_random_walk_grow_as_they_must():

@@ -5,8 +5,8 @@ import pytest
 
 from swarmssm.analysis.scoring.forecasters import BaselineForecaster
 from swarmssm.analysis.scoring.free_runs import collective_scores, free_run_starts
+from swarmssm.analysis.scoring.references import ConstantVelocity, StayPut
 from swarmssm.analysis.scoring.subject import subject_of
-from swarmssm.baselines import ConstantVelocity, StayPut
 from swarmssm.tracks import make_tracks
 
 FPS = 10.0

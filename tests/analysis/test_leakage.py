@@ -10,8 +10,8 @@ from swarmssm.analysis.scoring.forecasters import (
     ModelForecaster,
     law_forecaster,
 )
+from swarmssm.analysis.scoring.references import REFERENCES
 from swarmssm.analysis.scoring.subject import subject_of
-from swarmssm.baselines import BASELINES
 
 ORIGIN, STEPS = 25, 6
 
@@ -37,7 +37,7 @@ def scored_tracks(shift=0.0):
 def forecasters(fit, tracks):
     subject = subject_of(fit, tracks)
     found = [ModelForecaster(subject, "decoder"), ModelForecaster(subject, "rule")]
-    found += [BaselineForecaster(subject, kind()) for kind in BASELINES.values()]
+    found += [BaselineForecaster(subject, kind()) for kind in REFERENCES.values()]
     law, _ = law_forecaster(subject)
     return [*found, law] if law else found
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from swarmssm.analysis.scoring.baseline import Training
 from swarmssm.baselines.autoregression import AR1, AR5
 from swarmssm.baselines.regression import compress, ridge_maps
-from swarmssm.baselines.training import Training
 from swarmssm.errors import InputError
 
 FPS = 10.0

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import torch
 
+from swarmssm.analysis.scoring.baseline import Training
 from swarmssm.baselines.dcrnn import (
     DCRNN,
     DCRNNDirect,
 )
 from swarmssm.baselines.dygrencoder import DyGrEncoder, DyGrEncoderDirect
-from swarmssm.baselines.training import Training
 from swarmssm.graphs import GraphRule
 
 FPS = 10.0

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from filterpy.kalman import IMMEstimator, KalmanFilter
 
+from swarmssm.analysis.scoring.baseline import Training
 from swarmssm.baselines.interacting import InteractingModels, turning_motion
 from swarmssm.baselines.jump_filter import JumpModel
 from swarmssm.baselines.kalman import KalmanVelocity, random_walk_noise, straight_motion
-from swarmssm.baselines.training import Training
 from swarmssm.errors import InputError
 
 FPS = 5.0

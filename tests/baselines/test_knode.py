@@ -8,8 +8,8 @@ import pytest
 import scipy.linalg
 import torch
 
+from swarmssm.analysis.scoring.baseline import Training
 from swarmssm.baselines.knode import KNODE, constant_velocity
-from swarmssm.baselines.training import Training
 from swarmssm.errors import InputError
 
 FPS = 10.0

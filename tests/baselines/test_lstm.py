@@ -3,8 +3,8 @@
 import numpy as np
 import torch
 
+from swarmssm.analysis.scoring.baseline import Training
 from swarmssm.baselines.lstm import LSTM, LstmUnit
-from swarmssm.baselines.training import Training
 
 FPS = 10.0
 

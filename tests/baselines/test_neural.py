@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from swarmssm.analysis.scoring.baseline import Training
 from swarmssm.baselines.dcrnn import (
     DCRNN,
     DCRNNDirect,
@@ -15,7 +16,6 @@ from swarmssm.baselines.knode import KNODE
 from swarmssm.baselines.lstm import LSTM
 from swarmssm.baselines.neural import NeuralBaseline, StepNetwork
 from swarmssm.baselines.swarmnet import SwarmNet
-from swarmssm.baselines.training import Training
 from swarmssm.errors import InputError
 from swarmssm.graphs import GraphRule
 from swarmssm.tracks import make_tracks

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import torch
 
+from swarmssm.analysis.scoring.baseline import Training
 from swarmssm.baselines.dnri import DynamicRelationalInference
 from swarmssm.baselines.nri import NeuralRelationalInference, RecurrentRelationalInference
 from swarmssm.baselines.relational_decoders import TypedMessages
-from swarmssm.baselines.training import Training
 from swarmssm.simulate import simulate_springs
 from swarmssm.tracks import states_of
 

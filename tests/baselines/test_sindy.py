@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from swarmssm.analysis.scoring.baseline import Training
 from swarmssm.baselines.library import monomials, polynomial_terms, sparse_coefficients
 from swarmssm.baselines.ridge_boids import RidgeBoids
 from swarmssm.baselines.sindy import SindyBoids, SindyGeneric
+from swarmssm.baselines.sindy_oracle import BoidsForms, SindyOracle
 from swarmssm.baselines.sindy_pi import SindyPI
-from swarmssm.baselines.sindy_told import BoidsForms, SindyTold
-from swarmssm.baselines.training import Training
 from swarmssm.errors import InputError
 from swarmssm.graphs import GraphRule
 from swarmssm.simulate import simulate_boids, simulate_vicsek
@@ -34,11 +34,11 @@ def test_noise_free_boids_are_found_exactly(space):
 
 def test_told_the_forms_walls_and_limits_do_not_bias_the_gains():
     tracks = boids(process_noise=0.0, steps=120)
-    baseline = SindyTold().fit(tracks)
+    baseline = SindyOracle().fit(tracks)
     expected = np.concatenate([gain * np.eye(2) for gain in (0.5, 0.3, 0.2, 1.0)], axis=1)
     np.testing.assert_allclose(baseline.coefficients, expected, rtol=1e-8, atol=1e-12)
     assert baseline.forms == BoidsForms(2.5, 4.0, 0.6, 1.2, 1.0)
-    assert baseline.told
+    assert baseline.knows_true_form
     assert baseline.num_parameters == 8
     # Forecasts, the clamp included, are the simulation itself.
     states = states_of(tracks)
@@ -47,7 +47,7 @@ def test_told_the_forms_walls_and_limits_do_not_bias_the_gains():
 
 
 def test_equations_are_written_out():
-    baseline = SindyTold(BoidsForms(2.5))
+    baseline = SindyOracle(BoidsForms(2.5))
     baseline.fit(boids(**FREE))
     assert baseline.equations(3) == [
         "dvx/dt = +0.5 Cx +0.3 Sx +0.2 Ax",
@@ -59,11 +59,11 @@ def test_where_the_true_forms_are_unknown_it_says_so():
     states = states_of(boids())
     recorded = make_tracks(states[..., :2], fps=FPS)
     with pytest.raises(InputError, match="only run where the true forms are known"):
-        SindyTold().fit(recorded)
+        SindyOracle().fit(recorded)
     with pytest.raises(InputError, match="follow another law"):
-        SindyTold().fit(simulate_vicsek(individuals=5, steps=20))
+        SindyOracle().fit(simulate_vicsek(individuals=5, steps=20))
     with pytest.raises(InputError, match="Give it BoidsForms"):
-        SindyTold().fit_states(states, FPS, Training())
+        SindyOracle().fit_states(states, FPS, Training())
 
 
 def test_the_generic_library_finds_a_group_that_pulls_as_one():

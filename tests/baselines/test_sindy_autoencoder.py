@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import torch
 
+from swarmssm.analysis.scoring.baseline import Training
 from swarmssm.baselines.sindy_autoencoder import (
     SindyAutoencoder,
     Sizes,
     SparseAutoencoder,
     TangentNetwork,
 )
-from swarmssm.baselines.training import Training
 
 FPS = 10.0
 

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 import torch
 
+from swarmssm.analysis.scoring.baseline import Training
 from swarmssm.baselines.autoregression import AR1, AR5
 from swarmssm.baselines.interacting import InteractingModels
 from swarmssm.baselines.kalman import KalmanVelocity
 from swarmssm.baselines.ridge_boids import RidgeBoids
 from swarmssm.baselines.sindy import SindyBoids, SindyGeneric
 from swarmssm.baselines.sindy_autoencoder import SindyAutoencoder
+from swarmssm.baselines.sindy_oracle import BoidsForms, SindyOracle
 from swarmssm.baselines.sindy_pi import SindyPI
-from swarmssm.baselines.sindy_told import BoidsForms, SindyTold
-from swarmssm.baselines.training import Training
 from swarmssm.graphs import GraphRule
 from swarmssm.simulate import simulate_boids
 from swarmssm.tracks import states_of
@@ -61,7 +61,7 @@ class QuickGeneric(SindyGeneric):
 
 
 def told():
-    return SindyTold(BoidsForms(2.5, 4.0, 0.6, 1.2))
+    return SindyOracle(BoidsForms(2.5, 4.0, 0.6, 1.2))
 
 
 KINDS = [

@@ -3,8 +3,8 @@
 import numpy as np
 import torch
 
+from swarmssm.analysis.scoring.baseline import Training
 from swarmssm.baselines.swarmnet import SwarmNet
-from swarmssm.baselines.training import Training
 from swarmssm.graphs import GraphRule
 
 FPS = 10.0

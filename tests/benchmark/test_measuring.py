@@ -5,7 +5,8 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from swarmssm.baselines import Baseline, ConstantVelocity
+from swarmssm.analysis.scoring.baseline import Baseline
+from swarmssm.analysis.scoring.references import ConstantVelocity
 from swarmssm.benchmark import make_task, measure
 from swarmssm.benchmark.rivals import RivalForecaster
 from swarmssm.errors import InputError

@@ -11,7 +11,7 @@ from .conftest import straight
 
 def test_methods_are_measured_once_and_what_failed_has_its_reason(tmp_path):
     task = make_task(straight(120), horizons=(1, 5), origins=5, free_steps=10, samples=10)
-    jobs = [Job("stay-put", 0), Job("sindy-told", 0)]
+    jobs = [Job("stay-put", 0), Job("sindy-oracle", 0)]
     told = []
     parts = run_jobs(
         task, jobs, tmp_path / "parts", processes=2, progress=lambda *now: told.append(now)

@@ -18,8 +18,8 @@ from swarmssm.analysis.scoring.forecasters import (
     law_forecaster,
 )
 from swarmssm.analysis.scoring.frames import ScoredFrames, common_frames, rolling_origins
+from swarmssm.analysis.scoring.references import REFERENCES
 from swarmssm.analysis.scoring.subject import Subject, subject_of
-from swarmssm.baselines import BASELINES
 from swarmssm.errors import InputError
 from swarmssm.inference import Fit
 from swarmssm.tracks import Array, validate_tracks, with_trials
@@ -135,7 +135,9 @@ def backtest(
         name: ModelForecaster(subject, "decoder") for name, subject in subjects.items()
     }
     if baselines:
-        forecasters |= {name: BaselineForecaster(first, kind()) for name, kind in BASELINES.items()}
+        forecasters |= {
+            name: BaselineForecaster(first, kind()) for name, kind in REFERENCES.items()
+        }
         if training is None:
             notes.append(
                 "The spread of the baselines' forecasts is that of their errors on the scored "
@@ -302,7 +304,7 @@ def _check(
     """Refuse arguments that are out of range."""
     if not fits:
         raise InputError("fits: at least one is needed.")
-    taken = [name for name in fits if name in BASELINES or name == NOISE_FLOOR]
+    taken = [name for name in fits if name in REFERENCES or name == NOISE_FLOOR]
     if taken:
         raise InputError(f"fits: {taken[0]} is the name of a rival. Call that fit otherwise.")
     whole = all(isinstance(k, int | np.integer) for k in horizons)

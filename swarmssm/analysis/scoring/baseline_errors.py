@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from swarmssm.baselines import Baseline
+from swarmssm.analysis.scoring.baseline import Baseline
 from swarmssm.tracks import Array
 
 __all__ = ["baseline_covariances"]

@@ -20,9 +20,9 @@ from swarmssm.analysis.scoring.forecasters import (
 )
 from swarmssm.analysis.scoring.frames import rolling_origins
 from swarmssm.analysis.scoring.free_runs import collective_scores
+from swarmssm.analysis.scoring.references import REFERENCES
 from swarmssm.analysis.scoring.subject import Subject, subject_of
 from swarmssm.analysis.scoring.thesis import thesis_table_for
-from swarmssm.baselines import BASELINES
 from swarmssm.errors import InputError
 from swarmssm.inference import Fit
 from swarmssm.tracks import Array
@@ -116,7 +116,7 @@ def evaluate(
     _check(horizons, free_run_steps, origins, starts, draws, futures, seed)
     subject = subject_of(fit, tracks, part)
     forecasters: list[Forecaster] = [ModelForecaster(subject, edges)]
-    forecasters += [BaselineForecaster(subject, kind()) for kind in BASELINES.values()]
+    forecasters += [BaselineForecaster(subject, kind()) for kind in REFERENCES.values()]
     law, reason = law_forecaster(subject)
     notes = [*subject.notes]
     horizons = [int(k) for k in horizons]

@@ -9,9 +9,9 @@ import numpy.typing as npt
 import torch
 
 from swarmssm import simulate
+from swarmssm.analysis.scoring.baseline import Baseline
 from swarmssm.analysis.scoring.baseline_errors import baseline_covariances
 from swarmssm.analysis.scoring.subject import Subject
-from swarmssm.baselines import Baseline
 from swarmssm.errors import InputError, WorkError
 from swarmssm.graphs import GraphRule
 from swarmssm.inference.prediction import seeded

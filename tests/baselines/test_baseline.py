@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from swarmssm import metrics
-from swarmssm.baselines import BASELINES, Baseline, ConstantVelocity, StayPut
+from swarmssm.analysis.scoring.baseline import Baseline
+from swarmssm.analysis.scoring.references import REFERENCES, ConstantVelocity, StayPut
 from swarmssm.errors import InputError
 from swarmssm.tracks import make_tracks
 
@@ -43,7 +44,7 @@ def line_states(num_times=8):
 
 
 def test_each_is_registered_under_its_name():
-    assert {name: kind.name for name, kind in BASELINES.items()} == {
+    assert {name: kind.name for name, kind in REFERENCES.items()} == {
         "stay-put": "stay-put",
         "constant-velocity": "constant-velocity",
     }
@@ -92,7 +93,7 @@ def test_who_is_unknown_is_not_forecast():
     assert np.isfinite(predicted[4, 0]).all()
 
 
-@pytest.mark.parametrize("kind", BASELINES.values())
+@pytest.mark.parametrize("kind", REFERENCES.values())
 def test_a_forecast_has_the_labels_of_the_history(kind):
     forecast = kind().forecast(line(), 3)
     assert forecast["position"].dims == ("trial", "time", "space", "individual")

@@ -1,4 +1,4 @@
-r"""SINDy that is told the true forms of the forces, and finds the gains only."""
+r"""SINDy that knows the true forms of the forces, and finds the gains only."""
 
 from dataclasses import dataclass
 from typing import ClassVar, Self
@@ -9,21 +9,21 @@ import torch
 import xarray as xr
 
 from swarmssm import forces
+from swarmssm.analysis.scoring.baseline import Training
 from swarmssm.baselines.library import Term
 from swarmssm.baselines.sindy import SindyBoids, SparseAcceleration
 from swarmssm.baselines.social_terms import social_terms
-from swarmssm.baselines.training import Training
 from swarmssm.errors import InputError
 from swarmssm.graphs import GraphRule
 from swarmssm.simulate import Boids, law_of
 from swarmssm.tracks import Array
 
-__all__ = ["BoidsForms", "SindyTold"]
+__all__ = ["BoidsForms", "SindyOracle"]
 
 #: How near to a limit a speed is at it: recordings are rounded to single precision.
 AT_THE_LIMIT = 1e-5
 UNKNOWN = (
-    "sindy-told: it can only run where the true forms are known, that is on simulated boids in "
+    "sindy-oracle: it can only run where the true forms are known, that is on simulated boids in "
     "acceleration form with a radius graph"
 )
 
@@ -75,27 +75,27 @@ class BoidsForms:
         return cls(law.graph.radius, wall, law.min_speed, law.max_speed, law.exponent)
 
 
-class SindyTold(SparseAcceleration):
-    r"""SINDy that is told all that simulated boids obey, save the gains.
+class SindyOracle(SparseAcceleration):
+    r"""SINDy that knows all that simulated boids obey, save the gains.
 
     .. math:: v_i(t + 1) = \operatorname{clamp}\bigl(v_i(t) + dt\, \Xi\, [C_i, S_i, A_i, W_i]\bigr)
 
-    It is told the radius of sight, the exponent of the separation, the place of the wall *W* and
+    It knows the radius of sight, the exponent of the separation, the place of the wall *W* and
     the limits of speed. Steps that end at a limit say little of the forces, and are left out. It
     shows how far regression gets with the right library: no other method is given as much, and
-    tables mark it as told. All else is as for
+    tables mark it as an oracle. All else is as for
     :class:`~swarmssm.baselines.sindy.SindyBoids`.
 
     Parameters
     ----------
     forms
-        What it is told. Absent, :meth:`fit` asks the tracks, which know it if they were simulated.
+        What it knows. Absent, :meth:`fit` asks the tracks, which know it if they were simulated.
     """
 
-    name: ClassVar[str] = "sindy-told"
-    title: ClassVar[str] = "SINDy, told the true forms"
+    name: ClassVar[str] = "sindy-oracle"
+    title: ClassVar[str] = "SINDy, oracle of the true forms"
     paper: ClassVar[str] = SindyBoids.paper
-    told: ClassVar[bool] = True
+    knows_true_form: ClassVar[bool] = True
 
     def __init__(self, forms: BoidsForms | None = None) -> None:
         super().__init__()
@@ -103,7 +103,7 @@ class SindyTold(SparseAcceleration):
 
     @classmethod
     def for_tracks(cls, tracks: xr.Dataset) -> Self:
-        """Return the method, told the forms that simulated tracks follow."""
+        """Return the method with the forms that simulated tracks follow."""
         return cls(BoidsForms.of(tracks))
 
     def fit(
@@ -133,13 +133,13 @@ class SindyTold(SparseAcceleration):
 
     def variables(self, states: Array) -> Array:
         """Return C, S, A and, if there is one, the push of the wall."""
-        told = self._known_forms()
-        rule = GraphRule("radius", radius=told.radius)
-        terms = social_terms(states, rule, told.exponent)
-        if told.wall is None:
+        known_forms = self._known_forms()
+        rule = GraphRule("radius", radius=known_forms.radius)
+        terms = social_terms(states, rule, known_forms.exponent)
+        if known_forms.wall is None:
             return terms
         position = torch.from_numpy(np.split(states, 2, axis=-1)[0].copy())
-        return np.concatenate([terms, forces.wall(position, told.wall).numpy()], axis=-1)
+        return np.concatenate([terms, forces.wall(position, known_forms.wall).numpy()], axis=-1)
 
     def variable_names(self, space: int) -> list[str]:
         """Return ``Cx``, ``Cy``, ..., ``Wy``."""
@@ -152,19 +152,19 @@ class SindyTold(SparseAcceleration):
 
     def usable(self, states: Array, fps: float) -> npt.NDArray[np.bool_]:
         """Return the steps that do not end at a limit of speed."""
-        told = self._known_forms()
+        known_forms = self._known_forms()
         space = states.shape[-1] // 2
         speed = np.linalg.norm(states[:, 1:, :, space:], axis=-1)
-        between = speed > told.min_speed * (1.0 + AT_THE_LIMIT)
-        below = speed < told.max_speed * (1.0 - AT_THE_LIMIT)
+        between = speed > known_forms.min_speed * (1.0 + AT_THE_LIMIT)
+        below = speed < known_forms.max_speed * (1.0 - AT_THE_LIMIT)
         return np.asarray(super().usable(states, fps) & between & below)
 
     def velocity_after(self, velocity: Array, acceleration: Array, fps: float) -> Array:
         """Return the velocity one step on, its length between the limits."""
-        told = self._known_forms()
+        known_forms = self._known_forms()
         moved = velocity + acceleration / fps
         speed = np.linalg.norm(moved, axis=-1, keepdims=True)
-        allowed = np.clip(speed, told.min_speed, told.max_speed)
+        allowed = np.clip(speed, known_forms.min_speed, known_forms.max_speed)
         # Who would stand still goes on in the old direction.
         before = np.linalg.norm(velocity, axis=-1, keepdims=True)
         old = np.divide(velocity, before, out=np.zeros_like(velocity), where=before > 0.0)
@@ -172,7 +172,7 @@ class SindyTold(SparseAcceleration):
         return np.asarray(np.where(allowed == speed, moved, allowed * heading))
 
     def _known_forms(self) -> BoidsForms:
-        """Return what it was told."""
+        """Return what it knows."""
         if self.forms is None:
             raise InputError(f"{UNKNOWN}. Give it BoidsForms.")
         return self.forms

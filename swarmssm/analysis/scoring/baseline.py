@@ -1,22 +1,64 @@
 """What every baseline offers: one small interface, on arrays and on tracks."""
 
+import time
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from swarmssm.baselines.training import Training
 from swarmssm.errors import InputError
 from swarmssm.graphs import GraphRule
 from swarmssm.metrics.masked import known
 from swarmssm.tracks import Array, states_of, with_trials
 
-__all__ = ["Baseline"]
+__all__ = ["Baseline", "Training"]
+
+
+@dataclass(frozen=True)
+class Training:
+    """The terms on which all baselines learn, so that none has more than another.
+
+    Attributes
+    ----------
+    validation
+        States ``(trial, time, individual, state)`` that tell when to stop, in the tracks' units;
+        ``None``: there are none.
+    graph
+        Who sees whom, for methods that do not find it out themselves; ``None``: everybody sees
+        everybody.
+    seconds
+        Processor time after which learning ends with the best so far; ``None``: the method's own
+        number of epochs.
+    seed
+        Of weights, batches and draws.
+    """
+
+    validation: Array | None = None
+    graph: GraphRule | None = None
+    seconds: float | None = None
+    seed: int = 0
+    began: float = field(default_factory=time.process_time)
+
+    @property
+    def spent(self) -> float:
+        """Processor seconds since the beginning."""
+        return time.process_time() - self.began
+
+    @property
+    def over(self) -> bool:
+        """Whether the time is up."""
+        return self.seconds is not None and self.spent >= self.seconds
+
+    @property
+    def progress(self) -> float:
+        """Share of the time that is gone, from 0 to 1; 0 where there is no limit."""
+        return 0.0 if self.seconds is None else min(1.0, self.spent / self.seconds)
 
 
 class Baseline:
-    """A rival to hold a model against: it learns from states, and forecasts states.
+    """A method to compare a model with: it learns from states, and forecasts states.
 
     A subclass writes :meth:`step`; if it learns something it also overrides :meth:`learn`, and if
     it remembers more than a window of states, :meth:`one_step` and :meth:`predict`. States are in
@@ -29,8 +71,11 @@ class Baseline:
         For the command line and for tables.
     paper
         Where the method comes from.
-    told
-        Whether it is told what others have to find out, such as the true forms of the forces.
+    knows_true_form
+        Whether it is an oracle: it is given what others have to find, such as the true forms of
+        the forces.
+    is_random
+        Whether what it learns depends on the seed.
     order
         Number of past frames that a step looks at, the present one included.
     residual_covariance
@@ -41,7 +86,8 @@ class Baseline:
     name: ClassVar[str]
     title: ClassVar[str]
     paper: ClassVar[str] = ""
-    told: ClassVar[bool] = False
+    knows_true_form: ClassVar[bool] = False
+    is_random: ClassVar[bool] = False
     order: int = 1
 
     def __init__(self) -> None:
@@ -65,12 +111,12 @@ class Baseline:
 
     @classmethod
     def for_tracks(cls, tracks: xr.Dataset) -> Self:
-        """Return a baseline to be fitted to these tracks, told of them what it is to be told.
+        """Return a baseline to be fitted to these tracks; an oracle reads its knowledge from them.
 
         Raises
         ------
         InputError
-            If the tracks do not know what it is to be told.
+            If the tracks do not hold what an oracle needs.
         """
         return cls()
 
