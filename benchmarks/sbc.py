@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
-from swarmssm.analysis.diagnostics.calibration.many_runs import PieceProgress
 from swarmssm.analysis.diagnostics.calibration.ranks import calibration_sentence
 from swarmssm.analysis.diagnostics.calibration.simulation import simulation_based_calibration
+from swarmssm.jobs import Progress
 
 PRIORS = {
     "transition.cohesion_gain": "LogNormal(-0.511, 0.5)",
@@ -38,7 +38,7 @@ STARTS = {
 }
 
 
-def say(counted: PieceProgress) -> None:
+def say(counted: Progress) -> None:
     """Print how far it has come."""
     print(f"{counted.done} of {counted.total}, {counted.failed} failed", flush=True)
 

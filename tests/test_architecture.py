@@ -21,6 +21,7 @@ LINKS = ("models", "inference", "analysis")
 FLOORS = {
     "errors": 1,
     "files": 1,
+    "jobs": 1,
     "tracks": 1,
     "io": 1,
     "datasets": 1,

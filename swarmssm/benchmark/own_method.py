@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from swarmssm.benchmark.task import Task
-from swarmssm.inference import Fit, Progress, fit
+from swarmssm.inference import Fit, TrainingProgress, fit
 
 __all__ = ["OwnMethod", "by_trial"]
 
@@ -72,7 +72,7 @@ class _Timer:
     def __init__(self) -> None:
         self.times: list[float] = []
 
-    def __call__(self, progress: Progress) -> None:
+    def __call__(self, progress: TrainingProgress) -> None:
         self.times.append(time.process_time())
 
     @property

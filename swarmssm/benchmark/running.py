@@ -2,15 +2,12 @@
 
 import contextlib
 import json
-import math
-import multiprocessing
-import time
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from multiprocessing.context import BaseContext
-from multiprocessing.process import BaseProcess
 from pathlib import Path
 
+from swarmssm.benchmark.measuring import METHODS, measure
 from swarmssm.benchmark.parts import (
     CachedResult,
     open_folder,
@@ -22,11 +19,10 @@ from swarmssm.benchmark.parts import (
 from swarmssm.benchmark.task import Task
 from swarmssm.benchmark.true_rule import TrueRule, has_floor
 from swarmssm.errors import InputError, WorkError
+from swarmssm.jobs import Progress, Row, parallel_map
 
 __all__ = ["Job", "jobs_of", "run_jobs"]
 
-#: Seconds between two looks at the processes.
-LOOK = 0.2
 #: By the clock a method may take this many budgets, for learning, forecasts and a busy machine, ...
 PATIENCE = 6.0
 #: ... and this many seconds besides.
@@ -53,7 +49,6 @@ def jobs_of(methods: Sequence[str], seeds: int) -> list[Job]:
         If there is no such method, one stands there twice, or there are no seeds.
     """
     from swarmssm.baselines.registry import BASELINES, baseline_named
-    from swarmssm.benchmark.measuring import METHODS
 
     for name in methods:
         if ":" in name:
@@ -92,7 +87,7 @@ def run_jobs(
     *,
     seconds: float | None = None,
     processes: int = 1,
-    progress: Callable[[int, int, str], None] | None = None,
+    progress: Callable[[Progress], None] | None = None,
 ) -> dict[Job, CachedResult]:
     """Measure what is not measured yet, and the noise floor of tracks of which the rule is known.
 
@@ -114,7 +109,7 @@ def run_jobs(
     processes
         How many at a time.
     progress
-        Told how many of how many are done, and which was done last.
+        Called at the start and after each method.
 
     Raises
     ------
@@ -123,80 +118,58 @@ def run_jobs(
     WorkError
         If nothing can be written.
     """
-    if processes < 1:
-        raise InputError(f"jobs: it must be at least 1, and it is {processes}.")
     open_folder(folder, {"task": json.loads(task.digest()), "seconds": seconds})
     jobs = [*([FLOOR_JOB] if has_floor(task) else []), *jobs]
-    done: dict[Job, CachedResult] = {}
-    for job in jobs:
-        part = read_part(part_path(folder, job.method, job.seed))
-        if part is not None and part.measured is not None:
-            done[job] = part
-    waiting = [job for job in jobs if job not in done]
-    if progress is not None:
-        progress(len(done), len(jobs), "")
-    running: dict[Job, tuple[BaseProcess, float]] = {}
-    context = _context()
-    limit = math.inf if seconds is None else PATIENCE * seconds + GRACE
-    try:
-        while waiting or running:
-            while waiting and len(running) < processes:
-                job = waiting.pop(0)
-                path = part_path(folder, job.method, job.seed)
-                work = (task, job, seconds, path)
-                process = context.Process(target=_work, args=work, daemon=True)  # type: ignore[attr-defined]
-                process.start()
-                running[job] = (process, time.monotonic())
-            time.sleep(LOOK)
-            for job, (process, began) in list(running.items()):
-                path = part_path(folder, job.method, job.seed)
-                late = time.monotonic() - began > limit
-                if process.is_alive() and not late:
-                    continue
-                del running[job]
-                if process.is_alive():
-                    process.kill()
-                    write_failure(path, f"It had not finished after {limit / 60.0:.0f} minutes.")
-                process.join()
-                part = read_part(path)
-                if part is None or (process.exitcode != 0 and part.measured is not None):
-                    write_failure(path, f"Its process died ({process.exitcode}).")
-                    part = read_part(path)
-                if part is None:
-                    raise WorkError(f"{path}: cannot be read again.")
-                done[job] = part
-                if progress is not None:
-                    progress(len(done), len(jobs), job.method)
-    finally:
-        for process, _ in running.values():
-            process.kill()
-    return {job: done[job] for job in jobs}
+    paths = {job: part_path(folder, job.method, job.seed) for job in jobs}
+    kept = {job: read_part(path) for job, path in paths.items()}
+    done = sum(part is not None and part.measured is not None for part in kept.values())
+    missing = [job for job, part in kept.items() if part is None or part.measured is None]
+
+    def tell(now: Progress) -> None:
+        if progress is not None:
+            progress(Progress(done + now.done, len(paths), now.failed))
+
+    rows = parallel_map(
+        _Measure(task, tuple(missing), seconds, folder),
+        range(len(missing)),
+        processes=processes,
+        isolated=True,
+        timeout=None if seconds is None else PATIENCE * seconds + GRACE,
+        progress=tell,
+    )
+    for job, row in zip(missing, rows, strict=True):
+        if "failed" in row:
+            write_failure(paths[job], row["failed"])
+    parts = {}
+    for job, path in paths.items():
+        part = read_part(path)
+        if part is None:
+            raise WorkError(f"{path}: cannot be read again.")
+        parts[job] = part
+    return parts
 
 
-def _context() -> BaseContext:
-    """Return how processes begin: where it can be, as copies of one that has imported all."""
-    if "forkserver" not in multiprocessing.get_all_start_methods():
-        return multiprocessing.get_context("spawn")
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["swarmssm.benchmark.measuring"])
-    return context
+@dataclass(frozen=True)
+class _Measure:
+    """Measure one method, and write what was found."""
 
+    task: Task
+    jobs: tuple[Job, ...]
+    seconds: float | None
+    folder: Path
 
-def _work(task: Task, job: Job, seconds: float | None, path: Path) -> None:
-    """Measure one method, in a process of its own."""
-    import warnings
-
-    import torch
-
-    from swarmssm.benchmark.measuring import measure
-
-    warnings.simplefilter("ignore")
-    torch.set_num_threads(1)
-    path.unlink(missing_ok=True)
-    try:
-        write_measured(path, measure(task, job.method, seconds, job.seed))
-    except (InputError, WorkError) as error:
-        write_failure(path, str(error))
-    except Exception as error:  # A method's own mistake becomes its row; the others go on.
-        text = str(error).strip().splitlines()
-        write_failure(path, f"{type(error).__name__}: {text[0] if text else 'no message'}")
+    def __call__(self, index: int) -> Row:
+        """Return an empty row, or the reason why there is no measurement."""
+        job = self.jobs[index]
+        path = part_path(self.folder, job.method, job.seed)
+        path.unlink(missing_ok=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            try:
+                write_measured(path, measure(self.task, job.method, self.seconds, job.seed))
+            except (InputError, WorkError) as error:
+                return {"failed": str(error)}
+            except Exception as error:  # An error in one method leaves the others alone.
+                text = str(error).strip().splitlines()
+                return {"failed": f"{type(error).__name__}: {text[0] if text else 'no message'}"}
+        return {}

@@ -7,7 +7,7 @@ import typer
 
 from swarmssm.cli.console import say
 from swarmssm.cli.options import File, Overwrite, Seed, TrustCode
-from swarmssm.cli.progress import piece_progress
+from swarmssm.cli.progress import counting_progress
 from swarmssm.errors import InputError
 from swarmssm.files import check_output
 
@@ -109,7 +109,7 @@ def animate(
         from swarmssm.analysis.report.embed import report_style
 
         pace = {".gif": films.FASTEST_GIF}.get(out.suffix.lower(), films.FASTEST)
-        with report_style(), piece_progress(str(out), "frames") as show:
+        with report_style(), counting_progress(str(out), "frames") as show:
             film = films.animate(
                 tracks,
                 predicted,

@@ -10,7 +10,7 @@ import typer
 
 from swarmssm.cli.console import print_json, print_rows, say
 from swarmssm.cli.options import Format, Overwrite, Seed, TableFormat
-from swarmssm.cli.progress import piece_progress
+from swarmssm.cli.progress import counting_progress
 from swarmssm.errors import InputError, WorkError
 
 if TYPE_CHECKING:
@@ -125,14 +125,14 @@ def benchmark(
                 "--overwrite begins anew."
             )
         shutil.rmtree(folder)
-    with piece_progress("benchmark", "measurements") as show:
+    with counting_progress("benchmark", "measurements") as show:
         parts = run_jobs(
             task,
             wanted,
             folder,
             seconds=seconds,
             processes=jobs or _cores(),
-            progress=lambda done, total, _: show(done, total),
+            progress=show,
         )
     results = collect(task, parts)
     paths = write_results(results, out)

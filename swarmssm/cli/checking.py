@@ -7,7 +7,7 @@ import typer
 
 from swarmssm.cli.console import print_json, print_rows, say
 from swarmssm.cli.options import File, Format, Overwrite, Run, Seed, TableFormat, TrustCode
-from swarmssm.cli.progress import piece_progress
+from swarmssm.cli.progress import counting_progress
 from swarmssm.errors import InputError
 from swarmssm.files import check_output, write_beside
 
@@ -82,7 +82,7 @@ def check(
             chosen.append(found)
     fitted = inference.Fit.load(run, trust_code=trust_code)
     tracks = io.read(file)
-    with piece_progress("simulating", "swarms") as show:
+    with counting_progress("simulating", "swarms") as show:
         checked = compare(
             fitted,
             tracks,

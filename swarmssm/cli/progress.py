@@ -13,17 +13,17 @@ import typer
 from swarmssm.cli.console import short
 
 if TYPE_CHECKING:
-    from swarmssm.analysis.diagnostics.calibration.many_runs import PieceProgress
-    from swarmssm.inference import Progress
+    from swarmssm.inference import TrainingProgress
+    from swarmssm.jobs import Progress
 
-__all__ = ["counting_progress", "piece_progress", "stages", "training_progress"]
+__all__ = ["counting_progress", "stages", "training_progress"]
 
 #: Seconds between two lines where there is no terminal.
 LINE_EVERY = 10.0
 
 
 @contextmanager
-def training_progress(label: str) -> Iterator[Callable[["Progress"], None]]:
+def training_progress(label: str) -> Iterator[Callable[["TrainingProgress"], None]]:
     """Show how training goes on."""
     if sys.stderr.isatty():
         with _bar(label, "loss -") as show:
@@ -31,7 +31,7 @@ def training_progress(label: str) -> Iterator[Callable[["Progress"], None]]:
         return
     lines = _Lines(label)
 
-    def line(now: "Progress") -> None:
+    def line(now: "TrainingProgress") -> None:
         whole = "" if now.num_epochs is None else f" of {now.num_epochs}"
         text = f"epoch {now.epoch}{whole}, loss {short(now.loss)}"
         lines.tell(text, at_once=now.epoch == now.num_epochs)
@@ -42,7 +42,7 @@ def training_progress(label: str) -> Iterator[Callable[["Progress"], None]]:
 @contextmanager
 def counting_progress(
     label: str, things: str = "data sets"
-) -> Iterator[Callable[["PieceProgress"], None]]:
+) -> Iterator[Callable[["Progress"], None]]:
     """Show how many things are done, such as simulated data sets."""
     if sys.stderr.isatty():
         with _bar(label) as show:
@@ -52,7 +52,7 @@ def counting_progress(
     began = time.monotonic()
     first: int | None = None
 
-    def line(now: "PieceProgress") -> None:
+    def line(now: "Progress") -> None:
         nonlocal first
         begins = first is None
         first = now.done if first is None else first
@@ -68,16 +68,7 @@ def counting_progress(
     yield line
 
 
-@contextmanager
-def piece_progress(label: str, things: str) -> Iterator[Callable[[int, int], None]]:
-    """Show how many of how many things are done, told as two numbers."""
-    from swarmssm.analysis.diagnostics.calibration.many_runs import PieceProgress
-
-    with counting_progress(label, things) as show:
-        yield lambda done, total: show(PieceProgress(done, total, 0))
-
-
-def _failed(now: "PieceProgress") -> str:
+def _failed(now: "Progress") -> str:
     return f"{now.failed} failed" if now.failed else ""
 
 

@@ -16,7 +16,7 @@ from swarmssm.inference.guides import (
 from swarmssm.inference.held import fixed_transition
 from swarmssm.inference.laplace import Laplace, laplace
 from swarmssm.inference.settings import FitSettings
-from swarmssm.inference.training import Progress
+from swarmssm.inference.training import TrainingProgress
 
 __all__ = [
     "GUIDES",
@@ -27,8 +27,8 @@ __all__ = [
     "LinearizedGuide",
     "MarkovGuide",
     "PathGuide",
-    "Progress",
     "SmoothingGuide",
+    "TrainingProgress",
     "collapsed",
     "find_guide",
     "fit",

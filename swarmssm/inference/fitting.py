@@ -35,7 +35,13 @@ from swarmssm.inference.run_folder import (
     write_config,
 )
 from swarmssm.inference.settings import FitSettings, settings_from
-from swarmssm.inference.training import Progress, TrainingData, batch_size, quiet_pyro, train
+from swarmssm.inference.training import (
+    TrainingData,
+    TrainingProgress,
+    batch_size,
+    quiet_pyro,
+    train,
+)
 from swarmssm.models import (
     OneStepModel,
     Scales,
@@ -62,7 +68,7 @@ def fit(
     out: str | Path | None = None,
     resume: bool = False,
     overwrite: bool = False,
-    callbacks: Sequence[Callable[[Progress], None]] = (),
+    callbacks: Sequence[Callable[[TrainingProgress], None]] = (),
     **settings: Any,
 ) -> Fit:
     """Fit a model to tracks by stochastic variational inference.
@@ -91,7 +97,7 @@ def fit(
     overwrite
         Replace a run folder that is there; it stays as it was until the new one is finished.
     callbacks
-        Called with a :class:`swarmssm.inference.training.Progress` after each epoch.
+        Called with a :class:`swarmssm.inference.training.TrainingProgress` after each epoch.
     **settings
         Any of :class:`swarmssm.inference.settings.FitSettings`: ``steps``, ``epochs``, ``window``,
         ``batch_windows``, ``lr``, ``seed``, ``device``, ``graph`` and so on.
@@ -255,7 +261,7 @@ def _represented(windows: SwarmBatch, model: SwarmModel) -> SwarmBatch:
 
 
 def _sum_out(
-    run: Run, data: TrainingData, callbacks: Sequence[Callable[[Progress], None]]
+    run: Run, data: TrainingData, callbacks: Sequence[Callable[[TrainingProgress], None]]
 ) -> list[dict[str, float]]:
     """Fit the parameters with the latent states summed out; return the history.
 
@@ -269,7 +275,7 @@ def _sum_out(
 
     def tell(step: int, total: int | None, loss: float) -> None:
         for callback in callbacks:
-            callback(Progress(step, total, step, loss))
+            callback(TrainingProgress(step, total, step, loss))
 
     return fit_collapsed(
         run.model,

@@ -20,7 +20,7 @@ from swarmssm.inference.guides import SwarmGuide
 from swarmssm.inference.settings import FitSettings
 from swarmssm.models import StateSpaceModel, SwarmBatch, SwarmModel
 
-__all__ = ["Progress", "TrainingData", "num_epochs", "quiet_pyro", "train"]
+__all__ = ["TrainingData", "TrainingProgress", "num_epochs", "quiet_pyro", "train"]
 
 #: A loss this many times the first one's size (at least one nat) has exploded.
 EXPLODED = 1000.0
@@ -30,7 +30,7 @@ AUTO_STEPS = 10
 
 
 @dataclass(frozen=True)
-class Progress:
+class TrainingProgress:
     """What a callback is told after each epoch.
 
     Attributes
@@ -118,7 +118,7 @@ def train(
     start: Checkpoint | None = None,
     checkpoint_folder: Path | None = None,
     digest: str = "",
-    callbacks: Sequence[Callable[[Progress], None]] = (),
+    callbacks: Sequence[Callable[[TrainingProgress], None]] = (),
 ) -> list[dict[str, float]]:
     """Maximise the ELBO with Adam; the model and the guide keep the best weights.
 
@@ -173,7 +173,7 @@ def train(
         for callback in callbacks:
             # Whoever watches may draw without changing what is drawn in training.
             with torch.random.fork_rng():
-                callback(Progress(run.epoch, run.num_epochs, run.step, loss, row))
+                callback(TrainingProgress(run.epoch, run.num_epochs, run.step, loss, row))
         due = run.step - last_saved >= settings.checkpoint_every
         if due or run.is_over():
             run.check_weights()

@@ -5,6 +5,7 @@ import pytest
 from swarmssm.benchmark import Job, jobs_of, make_task, run_jobs
 from swarmssm.benchmark.parts import part_path, read_part
 from swarmssm.errors import InputError
+from swarmssm.jobs import Progress
 
 from .conftest import straight
 
@@ -13,14 +14,12 @@ def test_methods_are_measured_once_and_what_failed_has_its_reason(tmp_path):
     task = make_task(straight(120), horizons=(1, 5), origins=5, free_steps=10, samples=10)
     jobs = [Job("stay-put", 0), Job("sindy-oracle", 0)]
     told = []
-    parts = run_jobs(
-        task, jobs, tmp_path / "parts", processes=2, progress=lambda *now: told.append(now)
-    )
+    parts = run_jobs(task, jobs, tmp_path / "parts", processes=2, progress=told.append)
     assert parts[jobs[0]].measured.facts["mae"] == pytest.approx(1.0)
     assert parts[jobs[1]].measured is None
     assert "where the true forms are known" in parts[jobs[1]].reason
-    assert told[0] == (0, 2, "")
-    assert told[-1][:2] == (2, 2)
+    assert told[0] == Progress(0, 2)
+    assert told[-1] == Progress(2, 2, failed=1)
 
     path = part_path(tmp_path / "parts", "stay-put", 0)
     written = path.stat().st_mtime_ns

@@ -5,10 +5,10 @@ import io
 
 import pytest
 
-from swarmssm.analysis.diagnostics.calibration.many_runs import PieceProgress
 from swarmssm.cli import progress as shown
 from swarmssm.cli.progress import counting_progress, training_progress
-from swarmssm.inference import Progress
+from swarmssm.inference import TrainingProgress
+from swarmssm.jobs import Progress
 
 
 class Clock:
@@ -51,7 +51,7 @@ def on_terminal(monkeypatch):
 
 
 def at(epoch, total):
-    return Progress(epoch=epoch, num_epochs=total, step=epoch, loss=0.5)
+    return TrainingProgress(epoch=epoch, num_epochs=total, step=epoch, loss=0.5)
 
 
 def test_lines_of_training_are_ten_seconds_apart(clock, capsys):
@@ -74,14 +74,14 @@ def test_the_last_epoch_is_said_at_once(clock, capsys):
 def test_counting_says_where_it_begins_and_what_is_left(clock, capsys):
     with counting_progress("study") as tell:
         # 4 of 10 were done in an earlier run.
-        tell(PieceProgress(4, 10, 0))
+        tell(Progress(4, 10, 0))
         clock.now += 60.0
-        tell(PieceProgress(5, 10, 0))
+        tell(Progress(5, 10, 0))
         clock.now += 5.0
-        tell(PieceProgress(6, 10, 1))
+        tell(Progress(6, 10, 1))
         clock.now += 55.0
-        tell(PieceProgress(7, 10, 1))
-        tell(PieceProgress(10, 10, 1))
+        tell(Progress(7, 10, 1))
+        tell(Progress(10, 10, 1))
     assert capsys.readouterr().err.splitlines() == [
         "study: 4 of 10 data sets",
         # One a minute, and five to go.
@@ -99,6 +99,6 @@ def test_a_terminal_has_a_bar(on_terminal):
 
 
 def test_a_bar_counts_failures(on_terminal):
-    seen = on_terminal(counting_progress, PieceProgress(3, 8, 2))
+    seen = on_terminal(counting_progress, Progress(3, 8, 2))
     assert "3/8" in seen
     assert "2 failed" in seen

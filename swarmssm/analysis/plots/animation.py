@@ -27,6 +27,7 @@ from swarmssm.analysis.plots.scenes.scene import (
 from swarmssm.analysis.plots.tracks import TAIL
 from swarmssm.errors import InputError, WorkError
 from swarmssm.files import check_output, write_beside
+from swarmssm.jobs import Progress
 
 __all__ = ["FASTEST", "FASTEST_GIF", "WRITERS", "animate", "check_film", "write_animation"]
 
@@ -38,7 +39,6 @@ MAX_GIF = 2000
 COLOURS, PLAIN = Image.Quantize.MAXCOVERAGE, Image.Dither.NONE
 GIF, MP4 = "swarmssm-gif", "ffmpeg"
 WRITERS = {".gif": GIF, ".mp4": MP4}
-Progress = Callable[[int, int], object]
 
 
 def animate(
@@ -155,7 +155,7 @@ def write_animation(
     *,
     dpi: float = 100.0,
     overwrite: bool = False,
-    progress: Progress | None = None,
+    progress: Callable[[Progress], object] | None = None,
 ) -> Path:
     """Write an animation as a film, beside and renamed, through matplotlib's writers.
 
@@ -195,7 +195,7 @@ def write_animation(
                 "frame, or name an .mp4 file."
             )
         if progress is not None:
-            progress(number + 1, total or 0)
+            progress(Progress(number + 1, total or 0))
 
     extra = ["-f", "mp4", "-movflags", "faststart"] if writer == MP4 else None
     with write_beside(path, overwrite=overwrite) as temporary, _own_style():

@@ -8,7 +8,6 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from swarmssm.analysis.diagnostics.calibration.many_runs import PieceProgress
 from swarmssm.analysis.scoring.densities import SCORES, batches, mean_scores, position_scores
 from swarmssm.analysis.scoring.forecasters import (
     BaselineForecaster,
@@ -22,6 +21,7 @@ from swarmssm.analysis.scoring.references import REFERENCES
 from swarmssm.analysis.scoring.subject import Subject, subject_of
 from swarmssm.errors import InputError
 from swarmssm.inference import Fit
+from swarmssm.jobs import Progress
 from swarmssm.tracks import Array, validate_tracks, with_trials
 
 __all__ = ["HORIZONS", "LEVELS", "backtest"]
@@ -54,7 +54,7 @@ def backtest(
     seed: int = 0,
     levels: Sequence[float] = LEVELS,
     baselines: bool = True,
-    progress: Callable[[PieceProgress], None] | None = None,
+    progress: Callable[[Progress], None] | None = None,
 ) -> xr.Dataset:
     """Forecast from many held-out frames, and score what came by proper scores.
 
@@ -92,7 +92,7 @@ def backtest(
     baselines
         Whether staying put and constant velocity are rivals.
     progress
-        Called with a ``PieceProgress`` of batches.
+        Called with a ``Progress`` of batches.
 
     Returns
     -------
@@ -163,7 +163,7 @@ def backtest(
         nonlocal done
         done += 1
         if progress is not None:
-            progress(PieceProgress(done, total, 0))
+            progress(Progress(done, total, 0))
 
     found: dict[str, dict[str, Array]] = {}
     for name, forecaster in forecasters.items():

@@ -96,7 +96,7 @@ def test_another_animation_of_matplotlib_is_written_too(tmp_path):
     animation = FuncAnimation(figure, lambda k: line.set_ydata([0, k]), frames=3, interval=200)
     seen = []
     write_animation(
-        animation, tmp_path / "w.gif", progress=lambda done, total: seen.append((done, total))
+        animation, tmp_path / "w.gif", progress=lambda now: seen.append((now.done, now.total))
     )
     assert seen == [(1, 3), (2, 3), (3, 3)]
     with Image.open(tmp_path / "w.gif") as film:

@@ -1,6 +1,5 @@
 """Whether posteriors are as wide as they should be: simulation-based calibration."""
 
-from swarmssm.analysis.diagnostics.calibration.many_runs import PieceProgress
 from swarmssm.analysis.diagnostics.calibration.ranks import (
     calibration_of_ranks,
     calibration_sentence,
@@ -10,7 +9,6 @@ from swarmssm.analysis.diagnostics.calibration.simulation import simulation_base
 from swarmssm.analysis.diagnostics.calibration.uniformity import ecdf_band, uniformity_p_value
 
 __all__ = [
-    "PieceProgress",
     "calibration_of_ranks",
     "calibration_sentence",
     "calibration_table",

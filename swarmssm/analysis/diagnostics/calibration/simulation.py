@@ -13,7 +13,6 @@ import torch
 import xarray as xr
 
 from swarmssm import inference
-from swarmssm.analysis.diagnostics.calibration.many_runs import PieceProgress, Row, parallel_map
 from swarmssm.analysis.diagnostics.calibration.parameter_names import named_draws, named_numbers
 from swarmssm.analysis.diagnostics.calibration.ranks import calibration_of_ranks
 from swarmssm.analysis.diagnostics.calibration.synthetic import (
@@ -23,6 +22,7 @@ from swarmssm.analysis.diagnostics.calibration.synthetic import (
 )
 from swarmssm.analysis.posterior.accelerations import posterior_paths
 from swarmssm.errors import InputError, WorkError
+from swarmssm.jobs import Progress, Row, parallel_map
 from swarmssm.models import Scales
 from swarmssm.models.parameters import priors_of
 
@@ -140,7 +140,7 @@ def simulation_based_calibration(
     processes: int = 1,
     out: str | Path | None = None,
     resume: bool = False,
-    progress: Callable[[PieceProgress], None] | None = None,
+    progress: Callable[[Progress], None] | None = None,
     **settings: Any,
 ) -> xr.Dataset:
     r"""Calibrate a model and guide by simulation (Talts et al. 2018, arXiv:1804.06788).

@@ -19,6 +19,7 @@ from swarmssm.analysis.posterior.intervals import QUANTILES, quantiles
 from swarmssm.analysis.scoring.subject import Subject, subject_of
 from swarmssm.errors import InputError
 from swarmssm.inference import Fit
+from swarmssm.jobs import Progress
 from swarmssm.metrics.arena import Arena
 from swarmssm.tracks import Array, validate_tracks
 
@@ -42,7 +43,7 @@ def check(
     steps: int | None = None,
     part: str | None = None,
     seed: int = 0,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[Progress], None] | None = None,
     walls: Arena | str | None = None,
     every: int = 1,
     copies: int = COPIES,
@@ -85,7 +86,7 @@ def check(
     seed
         Of all draws.
     progress
-        Called with how many replicates are done, and of how many.
+        Called as replicates are finished.
     walls
         See ``arena_of``. A hull of the recording itself never
         leaves the recording outside, so that p-values of walls lean towards 0 with it.

@@ -13,6 +13,7 @@ from swarmssm.analysis.scoring.subject import Subject
 from swarmssm.errors import InputError
 from swarmssm.inference.prediction import seeded
 from swarmssm.inference.prediction.base import Predictor
+from swarmssm.jobs import Progress
 from swarmssm.models import StateSpaceModel
 from swarmssm.models.parameters import priors_of
 from swarmssm.tracks import Array
@@ -125,7 +126,7 @@ def replicates(
     runs: Runs,
     draws: int,
     seed: int,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[Progress], None] | None = None,
     copies: int = COPIES,
 ) -> Iterator[Array | None]:
     """Yield replicates of all runs, each with first states and noise of its own.
@@ -139,7 +140,7 @@ def replicates(
     seed
         Of all draws.
     progress
-        Called with how many are done, and of how many.
+        Called as replicates are finished.
     copies
         How many have their parameters in common; each draw of these runs by itself, while copies
         run at once.
@@ -180,7 +181,7 @@ def replicates(
                     else:
                         yield None
             if progress is not None:
-                progress(done, draws)
+                progress(Progress(done, draws))
 
 
 def _sighted(subject: Subject, states: torch.Tensor, values: Mapping[str, Any]) -> Array:

@@ -16,7 +16,6 @@ import xarray as xr
 from scipy import stats
 
 from swarmssm import inference
-from swarmssm.analysis.diagnostics.calibration.many_runs import PieceProgress, Row, parallel_map
 from swarmssm.analysis.diagnostics.calibration.parameter_names import named_draws, named_numbers
 from swarmssm.analysis.diagnostics.calibration.synthetic import (
     UNIFORM_SIDE,
@@ -33,6 +32,7 @@ from swarmssm.analysis.diagnostics.recovery.settings import (
 from swarmssm.errors import InputError, WorkError
 from swarmssm.graphs import GraphRule
 from swarmssm.inference.guides.parameters import GlobalGuide
+from swarmssm.jobs import Progress, Row, parallel_map
 from swarmssm.models import ObservedEdges, Scales, StateSpaceModel, find_model
 from swarmssm.models.parameters import priors_of
 from swarmssm.tracks import MAX_COORDINATE, Array, make_tracks
@@ -172,7 +172,7 @@ def recovery_study(
     processes: int = 1,
     out: str | Path | None = None,
     resume: bool = False,
-    progress: Callable[[PieceProgress], None] | None = None,
+    progress: Callable[[Progress], None] | None = None,
     **settings: Any,
 ) -> xr.Dataset:
     """Find known parameters again, from data sets of many kinds.

@@ -10,7 +10,6 @@ import torch
 from scipy import stats
 
 from swarmssm.analysis.diagnostics.calibration import simulation as calibration
-from swarmssm.analysis.diagnostics.calibration.many_runs import PieceProgress
 from swarmssm.analysis.diagnostics.calibration.ranks import (
     calibration_of_ranks,
     calibration_sentence,
@@ -24,6 +23,7 @@ from swarmssm.analysis.diagnostics.calibration.synthetic import (
 )
 from swarmssm.errors import InputError, WorkError
 from swarmssm.inference.guides import LinearizedGuide
+from swarmssm.jobs import Progress
 from swarmssm.models.parameters import priors_of
 from swarmssm.models.presets import linear
 
@@ -202,7 +202,7 @@ def test_gone_on_with_after_a_power_cut(study, tmp_path):
     whole, kept = study
     out = tmp_path / "sbc.jsonl"
     out.write_bytes(kept.read_bytes()[:-30])
-    told: list[PieceProgress] = []
+    told: list[Progress] = []
     again = simulation_based_calibration(
         "linear", datasets=2, out=out, resume=True, progress=told.append, **TINY, **PATHS
     )

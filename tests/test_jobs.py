@@ -7,9 +7,9 @@ import signal
 import pytest
 import torch
 
-from swarmssm.analysis.diagnostics.calibration import many_runs
-from swarmssm.analysis.diagnostics.calibration.many_runs import PieceProgress, parallel_map
+from swarmssm import jobs
 from swarmssm.errors import InputError, WorkError
+from swarmssm.jobs import Progress, parallel_map
 
 
 def square(index):
@@ -30,24 +30,20 @@ def interrupt_at_three(index):
 def elsewhere(tmp_path, monkeypatch):
     """Work that other processes can find: in a module on their path."""
     source = "import os\n\ndef square(i):\n    return {'value': i * i}\n\n"
-    source += "def die(i):\n    os._exit(1)\n\ndef begin():\n    pass\n\n"
+    source += "def die(i):\n    os._exit(1)\n\n"
+    source += "def divide(i):\n    return {'value': 1 / 0}\n\n"
+    source += "def die_or_sleep(i):\n    import time\n    if i == 0:\n        os._exit(1)\n"
+    source += "    time.sleep(60 * (i == 2))\n    return {'value': i}\n\n"
     source += "def threads(i):\n    import torch\n    return {'value': torch.get_num_threads()}\n"
     (tmp_path / "work_elsewhere.py").write_text(source)
     monkeypatch.syspath_prepend(tmp_path)
     return importlib.import_module("work_elsewhere")
 
 
-@pytest.fixture
-def light(elsewhere, monkeypatch):
-    """Processes that import no torch, which takes each of them seconds."""
-    monkeypatch.setattr(many_runs, "_begin", elsewhere.begin)
-
-
 def values(rows):
     return [row["value"] for row in rows]
 
 
-@pytest.mark.usefixtures("light")
 @pytest.mark.parametrize("processes", [1, 2])
 def test_rows_come_in_order_and_stand_in_the_file(tmp_path, elsewhere, processes):
     out = tmp_path / "rows.jsonl"
@@ -67,7 +63,7 @@ def test_a_process_has_one_thread_and_ends_when_told():
     before = signal.getsignal(signal.SIGINT)
     torch.set_num_threads(2)
     try:
-        many_runs._begin()
+        jobs._prepare_process()
         assert torch.get_num_threads() == 1
         assert signal.getsignal(signal.SIGINT) == signal.SIG_DFL
     finally:
@@ -100,7 +96,7 @@ def test_a_half_written_line_is_mended(tmp_path, cut):
         square, range(3), settings={"a": 1}, out=out, resume=True, progress=told.append
     )
     assert values(rows) == [0, 1, 4]
-    assert told == [PieceProgress(2, 3, 0), PieceProgress(3, 3, 0)]
+    assert told == [Progress(2, 3, 0), Progress(3, 3, 0)]
     assert out.read_bytes() == whole
 
 
@@ -147,10 +143,22 @@ def test_what_cannot_be_sent_to_another_process_is_said():
         parallel_map(lambda index: {}, range(2), settings={}, processes=2)
 
 
-@pytest.mark.usefixtures("light")
 def test_a_process_that_dies_does_not_hang(elsewhere):
-    with pytest.raises(WorkError, match="ended from outside"):
+    with pytest.raises(WorkError, match="died"):
         parallel_map(elsewhere.die, range(2), settings={}, processes=2)
+
+
+def test_an_isolated_process_that_dies_leaves_the_others(elsewhere):
+    rows = parallel_map(elsewhere.die_or_sleep, range(3), isolated=True, timeout=5.0)
+    assert "exit status 1" in rows[0]["failed"]
+    assert rows[1] == {"index": 1, "value": 1}
+    assert "stopped after" in rows[2]["failed"]
+
+
+def test_an_exception_in_another_process_is_raised(elsewhere):
+    with pytest.raises(ZeroDivisionError) as caught:
+        parallel_map(elsewhere.divide, range(2), settings={}, processes=2)
+    assert "in divide" in caught.value.__notes__[0]
 
 
 @pytest.mark.parametrize("processes", [0, True, 1.5])
