@@ -23,6 +23,7 @@ import torch
 from torch import Tensor
 
 from swarmssm.errors import InputError
+from swarmssm.graphs.compiled_rays import first_hits
 from swarmssm.graphs.neighbors import check_positions, pairs, portions
 
 __all__ = ["visual_field_graph"]
@@ -88,6 +89,8 @@ def visual_field_graph(
     Notes
     -----
     Memory beyond the result is bounded; the time grows with the number of rays that meet bodies.
+    On the processor a compiled loop casts the rays, in double precision whatever the dtype; on
+    other devices tensors do, in the dtype of the positions.
     """
     check_positions(positions)
     check_positions(headings, "headings")
@@ -103,17 +106,13 @@ def visual_field_graph(
     _check_anatomy(body_length, body_width, blind_angle, eye_field, eyes, rays, max_distance)
     field, axes = _eye_axes(blind_angle, eye_field, eyes)
     reach = math.inf if max_distance is None else max_distance
+    anatomy = _Anatomy(body_length, body_width, axes, field, rays, reach)
 
     num_members = positions.shape[-2]
-    places = positions.detach().reshape(-1, num_members, 2)
-    looks = headings.detach().reshape(-1, num_members, 2)
-    seen = torch.empty(
-        (len(places), num_members, num_members), dtype=torch.bool, device=positions.device
-    )
-    for rows in portions(len(places), 8 * eyes * num_members * max(num_members, rays)):
-        bodies = _Bodies.of(places[rows], looks[rows], body_length, body_width)
-        fan = _Fan.of(bodies, axes, field, rays)
-        seen[rows] = _first_hits(bodies, fan, reach)
+    places = positions.detach().reshape(-1, num_members, 2).contiguous()
+    looks = headings.detach().reshape(-1, num_members, 2).contiguous()
+    on_cpu = positions.device.type == "cpu"
+    seen = _by_loop(places, looks, anatomy) if on_cpu else _by_tensors(places, looks, anatomy)
     return seen.reshape(*positions.shape[:-1], num_members)
 
 
@@ -154,6 +153,61 @@ def _eye_axes(blind_angle: float, eye_field: float, eyes: int) -> tuple[float, l
     return math.radians(field), [axis, -axis]
 
 
+@dataclasses.dataclass(frozen=True)
+class _Anatomy:
+    """Body and eyes: lengths in the unit of the positions, angles in radians."""
+
+    length: float
+    width: float
+    #: Where the middle of each eye's field points, from the heading.
+    axes: list[float]
+    field: float
+    rays: int
+    reach: float
+
+    @property
+    def disc(self) -> float:
+        """Radius of the disc of the same area."""
+        return 0.5 * math.sqrt(self.length * self.width)
+
+
+def _by_loop(places: Tensor, looks: Tensor, anatomy: _Anatomy) -> Tensor:
+    """Cast the rays one after the other, in double precision on the processor."""
+    half_length, half_width = 0.5 * anatomy.length, 0.5 * anatomy.width
+    along, across = _eye_on_outline()
+    sides = [1.0, -1.0] if len(anatomy.axes) == 2 else [0.0]
+    seen = first_hits(
+        places.double().numpy(),
+        looks.double().numpy(),
+        lengths=np.array([half_length, half_width, anatomy.disc]),
+        eyes=np.array([[along * half_length, side * across * half_width] for side in sides]),
+        axes=np.array(anatomy.axes),
+        field=anatomy.field,
+        rays=anatomy.rays,
+        reach=anatomy.reach,
+    )
+    return torch.from_numpy(seen)
+
+
+def _by_tensors(places: Tensor, looks: Tensor, anatomy: _Anatomy) -> Tensor:
+    """Cast the rays of many frames at once, for other devices."""
+    num_frames, num_members, _ = places.shape
+    axes, rays = anatomy.axes, anatomy.rays
+    seen = torch.empty(
+        (num_frames, num_members, num_members), dtype=torch.bool, device=places.device
+    )
+    for rows in portions(num_frames, 8 * len(axes) * num_members * max(num_members, rays)):
+        bodies = _Bodies.of(places[rows], looks[rows], anatomy)
+        seen[rows] = _first_hits(bodies, _Fan.of(bodies, anatomy), anatomy.reach)
+    return seen
+
+
+def _eye_on_outline() -> tuple[float, float]:
+    """Return where the left eye sits, in half lengths along the body and half widths across it."""
+    # An ellipse is sqrt(1 - x ** 2) of its width wide at the fraction x of its half length.
+    return 2.0 * EYE_OFFSET, math.sqrt(1.0 - (2.0 * EYE_OFFSET) ** 2)
+
+
 # Below, points and directions of the plane are complex numbers: a product with a unit number turns,
 # one with its conjugate expresses in its frame, and 1j is a quarter turn to the left.
 
@@ -170,19 +224,19 @@ class _Bodies:
     looking: Tensor
 
     @classmethod
-    def of(cls, places: Tensor, looks: Tensor, length: float, width: float) -> "_Bodies":
+    def of(cls, places: Tensor, looks: Tensor, anatomy: _Anatomy) -> "_Bodies":
         """Make a body of everyone present, a disc where the heading is not known."""
         present = places.isfinite().all(-1)
         norm = torch.linalg.vector_norm(looks, dim=-1)
         has_heading = (norm > 0) & norm.isfinite()
         unit = torch.where(has_heading, norm, 1.0)[..., None]
         forward = looks.new_tensor([1.0, 0.0])
-        disc = 0.5 * math.sqrt(length * width)
+        half_length, half_width, disc = 0.5 * anatomy.length, 0.5 * anatomy.width, anatomy.disc
         return cls(
             center=torch.view_as_complex(torch.where(present[..., None], places, 0.0)),
             axis=torch.view_as_complex(torch.where(has_heading[..., None], looks / unit, forward)),
-            half_length=torch.where(has_heading, 0.5 * length, disc).to(places.dtype),
-            half_width=torch.where(has_heading, 0.5 * width, disc).to(places.dtype),
+            half_length=torch.where(has_heading, half_length, disc).to(places.dtype),
+            half_width=torch.where(has_heading, half_width, disc).to(places.dtype),
             present=present,
             looking=present & has_heading,
         )
@@ -198,16 +252,18 @@ class _Fan:
     rays: int
 
     @classmethod
-    def of(cls, bodies: _Bodies, axes: list[float], field: float, rays: int) -> "_Fan":
+    def of(cls, bodies: _Bodies, anatomy: _Anatomy) -> "_Fan":
         """Put two eyes on the outline of the body, left first, or one on its midline."""
-        along = 2.0 * EYE_OFFSET * bodies.half_length
-        # An ellipse is sqrt(1 - x ** 2) of its width wide at the fraction x of its half length.
-        across = math.sqrt(1.0 - (2.0 * EYE_OFFSET) ** 2) * bodies.half_width
+        eye_along, eye_across = _eye_on_outline()
+        along, across = eye_along * bodies.half_length, eye_across * bodies.half_width
+        axes = anatomy.axes
         side = along.new_tensor([1.0, -1.0] if len(axes) == 2 else [0.0])
         eye = along[..., None] + 1j * side * across[..., None]
         turn = torch.exp(1j * along.new_tensor(axes))
         ahead = bodies.axis[..., None]
-        return cls(bodies.center[..., None] + eye * ahead, turn * ahead, field, rays)
+        return cls(
+            bodies.center[..., None] + eye * ahead, turn * ahead, anatomy.field, anatomy.rays
+        )
 
 
 def _first_hits(bodies: _Bodies, fan: _Fan, reach: float) -> Tensor:

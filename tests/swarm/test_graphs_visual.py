@@ -1,11 +1,18 @@
 """Hold the visual field against configurations worked out by hand and a slow ray caster."""
 
 import math
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+import swarmssm
+from swarmssm import graphs, io
 from swarmssm.errors import InputError
 from swarmssm.graphs import headings_from_velocity, visual, visual_field_graph
 
@@ -257,6 +264,88 @@ def test_single_precision_differs_only_where_a_ray_grazes():
     assert (single != exact).sum() <= 1
 
 
+def by_tensors(monkeypatch, places, headings, **anatomy):
+    """Return the graph as devices other than the processor compute it."""
+    with monkeypatch.context() as patch:
+        patch.setattr(visual, "_by_loop", visual._by_tensors)
+        return visual_field_graph(places, headings, **anatomy)
+
+
+@pytest.mark.parametrize("eyes", [1, 2])
+@pytest.mark.parametrize("length", [0.3, 1.0, 3.0])
+@pytest.mark.parametrize(
+    "anatomy",
+    [
+        {},
+        {"blind_angle": 0.0, "eye_field": 360.0},
+        {"blind_angle": 200.0, "eye_field": 90.0, "rays": 41},
+        {"max_distance": 2.5, "rays": 1000},
+    ],
+)
+def test_the_compiled_loop_equals_the_tensors(monkeypatch, eyes, length, anatomy):
+    """Crowds of which some are absent, rest or stand in each other; 8820 pairs a case."""
+    places, headings = crowd(frames=42)
+    generator = torch.Generator().manual_seed(3)
+    places[torch.rand(42, 15, generator=generator) < 0.1] = NAN
+    headings[torch.rand(42, 15, generator=generator) < 0.1] = 0.0
+    headings[torch.rand(42, 15, generator=generator) < 0.1] = NAN
+    anatomy = {"body_length": length, "eyes": eyes, **anatomy}
+    graph = visual_field_graph(places, headings, **anatomy)
+    assert 0 < graph.double().mean() < 0.9
+    assert torch.equal(graph, by_tensors(monkeypatch, places, headings, **anatomy))
+
+
+@pytest.mark.parametrize("name", ["zebrafish_idtracker8", "guppies_trex8", "termites8_idtracker"])
+def test_the_compiled_loop_equals_the_tensors_on_real_animals(monkeypatch, shared_data, name):
+    tracks = io.read(shared_data / name / f"{name}.npz").position[:400]
+    places = torch.tensor(tracks.transpose("time", "individual", "space").values).double()
+    step = float(places.diff(dim=0).norm(dim=-1).nanmedian())
+    headings = headings_from_velocity(places.diff(dim=0, prepend=places[:1]), rest_speed=0.1 * step)
+    anatomy = {"body_length": 0.5 * float(graphs.nearest_distances(places).nanmedian())}
+    graph = visual_field_graph(places, headings, **anatomy)
+    assert 0 < graph.double().mean() < 0.95
+    assert torch.equal(graph, by_tensors(monkeypatch, places, headings, **anatomy))
+
+
+SEE = """
+import sys, torch
+from swarmssm.graphs import visual_field_graph
+assert "numba" not in sys.modules
+places = torch.tensor([[0.0, 0.0], [3.0, 0.0], [6.0, 0.0]])
+graph = visual_field_graph(places, torch.tensor([1.0, 0.0]).expand(3, 2), body_length=1.0)
+assert graph.nonzero().tolist() == [[0, 1], [1, 2]], graph
+"""
+
+
+@pytest.mark.slow
+def test_several_processes_compile_the_loop_at_once(tmp_path):
+    """With an empty cache, and then one from a cache whose files are damaged."""
+    command = [sys.executable, "-P", "-W", "error", "-c", SEE]
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    processes = [subprocess.Popen(command, env=environment) for _ in range(2)]
+    assert [process.wait(300) for process in processes] == [0, 0]
+    files = list(tmp_path.rglob("*.nb[ic]"))
+    assert len(files) == 2
+    for file in files:
+        file.write_bytes(file.read_bytes()[:50])
+    subprocess.run(command, env=environment, check=True, timeout=300)
+
+
+@pytest.mark.slow
+def test_the_loop_runs_where_no_folder_can_be_written_to(tmp_path):
+    """The package lies where it may not be written to, and the user has no cache folder."""
+    package = Path(swarmssm.__file__).parent
+    shutil.copytree(package, tmp_path / "swarmssm", ignore=shutil.ignore_patterns("__pycache__"))
+    # A file in the place of the folder stops root too, whom permissions do not.
+    (tmp_path / "swarmssm" / "graphs" / "__pycache__").write_text("")
+    (tmp_path / "home").write_text("")
+    environment = {
+        name: value for name, value in os.environ.items() if not name.startswith(("NUMBA", "XDG"))
+    } | {"HOME": str(tmp_path / "home"), "PYTHONPATH": str(tmp_path)}
+    command = [sys.executable, "-P", "-W", "error", "-c", SEE]
+    subprocess.run(command, env=environment, check=True, timeout=300)
+
+
 def test_frames_do_not_depend_on_each_other_or_on_portions(monkeypatch):
     places, headings = crowd()
     graph = visual_field_graph(
@@ -266,6 +355,7 @@ def test_frames_do_not_depend_on_each_other_or_on_portions(monkeypatch):
     monkeypatch.setattr(visual, "RAYS_AT_ONCE", 700)
     for given, p, h in zip(graph.reshape(20, 15, 15), places, headings, strict=True):
         assert torch.equal(visual_field_graph(p, h, body_length=1.0), given)
+        assert torch.equal(by_tensors(monkeypatch, p, h, body_length=1.0), given)
 
 
 def test_the_nearest_is_always_seen():
