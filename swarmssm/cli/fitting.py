@@ -28,8 +28,6 @@ __all__ = ["fit"]
 
 #: Edges that are inferred.
 RELATIONAL = ("relational", "dynamic-relational")
-#: Ready-made models that infer tracking noise unless told otherwise.
-NOISY = ("boids", "kernel", "graph-ssm", "linear")
 
 
 def fit(
@@ -163,7 +161,11 @@ def _warn_of_exact_tracks(
 ) -> None:
     """Say so if a model looks for tracking noise where it is known that there is none."""
     simulated = json.loads(str(tracks.attrs.get("simulation") or "{}"))
-    if simulated.get("observation_noise") == 0 and model in NOISY and "observed" not in options:
+    if simulated.get("observation_noise") != 0 or "observed" in options:
+        return
+    from swarmssm.models.registry import find_model, options_of
+
+    if "observed" in options_of(find_model(model)):
         say(
             f"{file}: it was simulated without tracking noise, which {model} infers: gains may "
             "come out wrong. Add --model-option observed=states, or simulate with "

@@ -239,7 +239,7 @@ def _windows(
     """Cut the training part and the validation part, if there is one, into windows."""
     model, window = run.model, run.settings.window
     assert window != "auto", "build_modules has asked the guide"
-    share = not isinstance(model, StateSpaceModel) or model.emission is None
+    share = not isinstance(model, StateSpaceModel) or model.emission.is_exact
     windows = _represented(windows_of(prepared, window, share_border=share), model)
     if not run.split.validation:
         return windows, None

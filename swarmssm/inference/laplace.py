@@ -156,7 +156,7 @@ def laplace(
     M. Opper and C. Archambeau (2009), The variational Gaussian approximation revisited, Neural
     Computation 21.
     """
-    if model.emission is None:
+    if model.emission.is_exact:
         raise InputError("model: its states are observed exactly; there is nothing to sum out.")
     with quiet_pyro():
         problem = _Problem(model, batch, method, layout, given, start or {}, refine, callback)

@@ -123,8 +123,7 @@ def build_modules(
     # Parameters that stay in their module, instead of Pyro's global store, have to be so from
     # the module's construction on.
     with pyro.settings.context(module_local_params=True):
-        builder: Any = builders.model or find_model(settings.model)
-        builder = getattr(builder, "for_scales", builder)
+        builder = find_model(builders.model or settings.model)
         model = _build(builder, "model", settings.model, scales, settings.model_options)
         if not isinstance(model, SwarmModel):
             raise InputError(
@@ -139,13 +138,11 @@ def build_modules(
             model = with_priors(model, settings.priors)
         model = _with_edges(model, settings, scales)
         if settings.guide == "auto":
-            settings = settings.model_copy(update={"guide": default_guide(settings.model, model)})
-        builder = builders.guide or find_guide(settings.guide)
-        builder = getattr(builder, "for_model", builder)
+            settings = settings.model_copy(update={"guide": default_guide(model)})
+        builder = find_guide(builders.guide or settings.guide)
         guide = _build(builder, "guide", settings.guide, model, settings.guide_options)
     if settings.window == "auto":
-        window = getattr(guide, "window", SwarmGuide.window)
-        settings = settings.model_copy(update={"window": window})
+        settings = settings.model_copy(update={"window": guide.window})
     return settings, model, guide.to(torch.float32)
 
 

@@ -69,7 +69,7 @@ class TrainingData:
 
 def num_coordinates(windows: SwarmBatch, model: SwarmModel) -> int:
     """Return how many observed coordinates of the windows are scored."""
-    if isinstance(model, StateSpaceModel) and model.emission is not None:
+    if isinstance(model, StateSpaceModel) and not model.emission.is_exact:
         return int(windows.mask.sum()) * windows.observations.shape[-1]
     both_ends = windows.mask[:, 1:] & windows.mask[:, :-1]
     return int(both_ends.sum()) * windows.observations.shape[-1]

@@ -2,6 +2,7 @@
 
 from swarmssm.models.base import NextStep, OneStepModel, SwarmModel
 from swarmssm.models.batch import SwarmBatch
+from swarmssm.models.description import PartDescription, describe_model
 from swarmssm.models.distributions.kinematic import Kinematic
 from swarmssm.models.edges import (
     DynamicRelationalEdges,
@@ -13,6 +14,7 @@ from swarmssm.models.edges import (
 )
 from swarmssm.models.emissions import (
     Emission,
+    ExactEmission,
     NeuralEmission,
     NoisyEmission,
     PositionEmission,
@@ -34,6 +36,7 @@ __all__ = [
     "DynamicRelationalEdges",
     "Edges",
     "Emission",
+    "ExactEmission",
     "GraphVAE",
     "InferredEdges",
     "InitialStates",
@@ -47,6 +50,7 @@ __all__ = [
     "NoisyEmission",
     "ObservedEdges",
     "OneStepModel",
+    "PartDescription",
     "PositionEmission",
     "RelationalEdges",
     "Scales",
@@ -58,6 +62,7 @@ __all__ = [
     "SwarmModel",
     "Transition",
     "assign",
+    "describe_model",
     "find_model",
     "parameters_of",
     "parse_distribution",

@@ -20,11 +20,15 @@ from swarmssm.models.parameters import (
     check_prior,
     declaration,
 )
-from swarmssm.models.prior_text import EXAMPLE, PRIORS, parse_distribution
+from swarmssm.models.prior_text import EXAMPLE, PRIORS, distribution_text, parse_distribution
 from swarmssm.models.simulation import seeded
 from swarmssm.models.supports import usual_constraint
 
-__all__ = ["PRIORS", "parameters_of", "parse_distribution", "with_priors"]
+__all__ = ["PRIORS", "parameters_of", "parse_distribution", "prior_texts", "with_priors"]
+
+
+#: Text of a prior that is a function of other parameters.
+DEPENDENT = "given others"
 
 
 class Parameter(NamedTuple):
@@ -56,6 +60,22 @@ def parameters_of(model: nn.Module) -> dict[str, Parameter]:
         for name in dict.fromkeys(own):
             found[f"{place}.{name}" if place else name] = Parameter(module, name)
     return found
+
+
+def prior_texts(model: nn.Module) -> dict[str, str]:
+    """Return the prior of each parameter that has one as text, by full name.
+
+    One that is a function of other parameters is :data:`DEPENDENT`.
+    """
+    samples = {
+        full: vars(module).get("_pyro_samples", {}).get(attribute)
+        for full, (module, attribute) in parameters_of(model).items()
+    }
+    return {
+        full: distribution_text(prior) if isinstance(prior, dist.Distribution) else DEPENDENT
+        for full, prior in samples.items()
+        if prior is not None
+    }
 
 
 def with_priors(model: PyroModule, priors: Mapping[str, Any]) -> PyroModule:

@@ -1,10 +1,12 @@
-"""Names of the ready-made parts, and the user's own by ``module:attribute``."""
+"""Names of the models of this package, and a user's own by ``module:attribute``."""
 
 import contextlib
 import importlib
 import importlib.util
+import inspect
 import sys
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -14,21 +16,109 @@ from swarmssm.models.base import SwarmModel
 from swarmssm.models.graph_vae import GraphVAE
 from swarmssm.models.presets import boids, graph_ssm, kernel, linear
 
-__all__ = ["MODELS", "find_model", "find_part"]
+__all__ = ["MODELS", "Entry", "find_builder", "find_model", "find_part", "options_of"]
 
-MODELS: dict[str, Callable[..., SwarmModel]] = {
-    "boids": boids,
-    "graph-ssm": graph_ssm,
-    "graph-vae": GraphVAE,
-    "kernel": kernel,
-    "linear": linear,
+
+@dataclass(frozen=True)
+class Entry:
+    """A registered model or guide.
+
+    Attributes
+    ----------
+    build
+        The function or class that builds it.
+    title
+        What papers call it, in a few words.
+    description
+        What it is, in one or two sentences.
+    """
+
+    build: Callable[..., Any]
+    title: str
+    description: str
+
+
+MODELS: dict[str, Entry] = {
+    "boids": Entry(
+        boids,
+        "boids with inferred gains",
+        "A state-space model of positions and velocities. Each individual is pulled towards those "
+        "it sees (cohesion), pushed from them (separation), and turned to their velocities "
+        "(alignment), with gains that are inferred, besides walls, speed regulation and noise.",
+    ),
+    "graph-ssm": Entry(
+        graph_ssm,
+        "graph state-space model",
+        "A state-space model of positions and velocities, whose accelerations a graph network "
+        "makes of what each individual sees of the others, alike under rotation, reflection and "
+        "translation unless place matters.",
+    ),
+    "graph-vae": Entry(
+        GraphVAE,
+        "graph variational autoencoder of the thesis",
+        "The thesis's graph variational autoencoder: a latent state for each individual and frame, "
+        "drawn from N(0, I), is decoded into its next state, and each pair's into their next edge. "
+        "Nothing links one frame's latent states to the next.",
+    ),
+    "kernel": Entry(
+        kernel,
+        "interaction kernels of distance",
+        "A state-space model of positions and velocities. What a neighbour does to an individual "
+        "is a smooth curve of its distance, one for the pull or push and one for alignment, "
+        "besides walls, speed regulation and noise.",
+    ),
+    "linear": Entry(
+        linear,
+        "linear forces, solved exactly",
+        "A state-space model whose next state is a linear function of the present one, plus "
+        "noise: what a Kalman filter solves exactly.",
+    ),
 }
 
 
-def find_model(name: str) -> Callable[..., SwarmModel]:
-    """Return the class or function that builds a model, by name or ``module:attribute``."""
-    builder: Callable[..., SwarmModel] = find_part(name, MODELS, "model")
+def find_model(model: str | Callable[..., Any]) -> Callable[..., SwarmModel]:
+    """Return the function of scales and options that builds a model.
+
+    Parameters
+    ----------
+    model
+        A key of :data:`MODELS`, ``module:attribute``, or the function itself; a class with a
+        method ``for_scales`` is built by this method.
+
+    Raises
+    ------
+    InputError
+        As :func:`find_part`.
+    """
+    return find_builder(model, MODELS, "model", "for_scales")
+
+
+def find_builder(
+    part: str | Callable[..., Any], registered: Mapping[str, Entry], what: str, method: str
+) -> Callable[..., Any]:
+    """Return what builds a part: what a name stands for, or a method of it if there is one."""
+    found: Any = part
+    if isinstance(part, str):
+        builders = {name: entry.build for name, entry in registered.items()}
+        found = find_part(part, builders, what)
+    builder: Callable[..., Any] = getattr(found, method, found)
     return builder
+
+
+def options_of(builder: Callable[..., Any]) -> dict[str, inspect.Parameter]:
+    """Return the options of a builder by name, without the scales or the model that come first.
+
+    A class method that hands its options on, ``for_scales(cls, scales, **options)``, has those of
+    the constructor.
+    """
+    found = list(inspect.signature(builder).parameters.values())
+    named = found[1:]
+    if any(one.kind is inspect.Parameter.VAR_KEYWORD for one in named):
+        owner = getattr(builder, "__self__", None)
+        if inspect.isclass(owner):
+            named += list(inspect.signature(owner).parameters.values())[1:]
+    kinds = (inspect.Parameter.VAR_KEYWORD, inspect.Parameter.VAR_POSITIONAL)
+    return {one.name: one for one in named if one.kind not in kinds}
 
 
 def find_part(name: str, registered: Mapping[str, Any], what: str) -> Any:
@@ -41,7 +131,7 @@ def find_part(name: str, registered: Mapping[str, Any], what: str) -> Any:
         folder first, as a file ``module.py``, then among the installed ones, and last as a
         package in the current folder; it may import its neighbours. Importing it runs its code.
     registered
-        The ready-made parts.
+        The parts of this package.
     what
         What to call it in an error: ``"model"`` or ``"guide"``.
 

@@ -24,7 +24,7 @@ from swarmssm.models.edges import (
     LatentEdges,
     ObservedEdges,
 )
-from swarmssm.models.emissions.base import Emission
+from swarmssm.models.emissions import Emission, ExactEmission
 from swarmssm.models.layers import check_sizes
 from swarmssm.models.markov import MarkovChain, StepInputs
 from swarmssm.models.parameters import adopt, convert_priors, fixed, priors_of
@@ -67,9 +67,10 @@ class StateSpaceModel(SwarmModel):
     transition
         Law of motion.
     emission
-        Law of observation; ``None``: states are observed exactly, so that ``"states"`` is an
-        observed site and the transition is scored directly, on the steps of which both ends were
-        seen. The first frame after a gap is scored as that of an individual that enters.
+        Law of observation; absent, :class:`~swarmssm.models.ExactEmission`: states are observed
+        exactly, so that ``"states"`` is an observed site and the transition is scored directly, on
+        the steps of which both ends were seen. The first frame after a gap is scored as that of an
+        individual that enters.
     edges
         Where the graph comes from; absent, it is the observed one. Those whose types are inferred
         (:class:`~swarmssm.models.InferredEdges`) are a further latent site, ``"edges"``.
@@ -87,21 +88,38 @@ class StateSpaceModel(SwarmModel):
         self,
         initial: PyroModule,
         transition: Transition,
-        emission: Emission | None,
+        emission: Emission | None = None,
         edges: Edges | None = None,
     ) -> None:
+        emission = ExactEmission() if emission is None else emission
+        edges = ObservedEdges() if edges is None else edges
         _check_parts(initial, transition, emission, edges)
         super().__init__(transition.state_dim)
         self.initial = initial
         self.transition = transition
         self.emission = emission
-        self.edges = ObservedEdges() if edges is None else edges
+        self.edges = edges
         adopt(self)
 
     @property
     def observes(self) -> str:
         """Which features of the tracks are observed."""
-        return "states" if self.emission is None else self.emission.observes
+        return self.emission.observes
+
+    @property
+    def has_exact_states(self) -> bool:
+        """Whether states are observed exactly, so that none are latent."""
+        return self.emission.is_exact
+
+    @property
+    def has_networks(self) -> bool:
+        """Whether transition or emission have weights, beside numbers to be inferred.
+
+        Such are learned parameters that are matrices. Without them the latent states are best
+        summed out.
+        """
+        parts = (self.transition, self.emission)
+        return any(weight.dim() > 1 for part in parts for weight in part.parameters())
 
     def augmented(self, batch: SwarmBatch) -> SwarmBatch:
         """Return the windows, or an image in which the law of motion looks the same."""
@@ -187,7 +205,7 @@ class StateSpaceModel(SwarmModel):
             If a value is missing or unknown, or first states are of another size.
         """
         there, inputs = batch.present, batch.steps()
-        if self.emission is None:
+        if self.emission.is_exact:
             there = batch.mask
             inputs = replace(inputs, present=there[:, :-1])
         return self._chain(there, inputs, values, self.edges)
@@ -249,7 +267,7 @@ class StateSpaceModel(SwarmModel):
                 drawn = prior, pyro.sample("edges", prior)
                 batch = self.edges.with_edge_types(batch, drawn[1])
             chain = self.chain(batch, values)
-            if self.emission is None:
+            if self.emission.is_exact:
                 self._check_features(batch, self.state_dim)
                 states: torch.Tensor = pyro.sample("states", chain, obs=batch.observations)
                 self._add_edge_learning_term(chain, states, drawn)
@@ -506,7 +524,7 @@ class StateSpaceModel(SwarmModel):
         chain = self._chain(there, without_last(inputs), drawn, walk or edges, first)
         states = chain.sample()
         with fixed(self, drawn):
-            observations = states if self.emission is None else self.emission(states).sample()
+            observations = self.emission(states).sample()
             if walk is None:
                 graph = edges(states, inputs)
             else:
@@ -527,8 +545,8 @@ def _check_parts(initial: Any, transition: Any, emission: Any, edges: Any) -> No
     wanted = {
         "initial": (initial, PyroModule, "a module that returns a distribution (InitialStates)"),
         "transition": (transition, Transition, "a Transition"),
-        "emission": (emission, Emission | None, "an Emission or None"),
-        "edges": (edges, Edges | None, "ObservedEdges, LatentEdges, RelationalEdges or None"),
+        "emission": (emission, Emission, "an Emission"),
+        "edges": (edges, Edges, "ObservedEdges, LatentEdges or RelationalEdges"),
     }
     for name, (part, kind, words) in wanted.items():
         if not isinstance(part, kind):

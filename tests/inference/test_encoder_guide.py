@@ -127,9 +127,9 @@ def test_the_variance_stays_within_bounds(guide, batch):
 def test_it_has_the_model_s_latent_states_and_can_be_built_again():
     model = GraphVAE(6, latent_dim=3)
     options = {"widths": [8, 5, 4], "rounds": 2, "self_weight": False}
-    guide = find_guide("encoder").for_model(model, **options)
+    guide = find_guide("encoder")(model, **options)
     assert isinstance(guide, GraphEncoderGuide)
-    assert GUIDES["encoder"] is GraphEncoderGuide
+    assert GUIDES["encoder"].build is GraphEncoderGuide
     assert guide.second.own is None
     again = GraphEncoderGuide.for_model(model, **options)
     again.load_state_dict(guide.state_dict())

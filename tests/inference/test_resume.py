@@ -18,6 +18,7 @@ from swarmssm.inference import Fit, fit
 from swarmssm.inference.checkpoints import Checkpoint, read_checkpoint, write_checkpoint
 from swarmssm.io import read, write
 from swarmssm.models import MODELS, GraphVAE
+from swarmssm.models.registry import Entry
 
 SETTINGS = {"epochs": 12, "window": 20, "batch_windows": 4, "seed": 3, "checkpoint_every": 4}
 
@@ -288,7 +289,7 @@ def test_normalisation_and_frozen_weights_go_on_too(tmp_path, tracks, monkeypatc
             shape = latent.shape
             return super().decode(self.norm(latent.reshape(-1, 4)).reshape(shape))
 
-    monkeypatch.setitem(MODELS, "normalised", Normalised)
+    monkeypatch.setitem(MODELS, "normalised", Entry(Normalised, "", ""))
     settings = {**SETTINGS, "model": "normalised"}
     fit(tracks=tracks, out=tmp_path / "whole", **settings)
     with pytest.raises(Halt):

@@ -11,6 +11,7 @@ from swarmssm.errors import InputError, WorkError
 from swarmssm.inference import Fit, fit
 from swarmssm.inference.checkpoints import read_checkpoint
 from swarmssm.models import MODELS, GraphVAE
+from swarmssm.models.registry import Entry
 
 STEP_6 = r"at step 6 \(epoch 3\)\. Try a smaller learning rate than 0\.005"
 
@@ -37,7 +38,7 @@ def failing(monkeypatch):
                     if type(self).calls >= call:
                         pyro.factor("planted", term(self))
 
-        monkeypatch.setitem(MODELS, "failing", Failing)
+        monkeypatch.setitem(MODELS, "failing", Entry(Failing, "", ""))
 
     return register
 
@@ -99,7 +100,7 @@ def test_a_failure_of_the_last_step_is_noticed(swarm, settings, failing, monkeyp
             super().forward(batch)
             pyro.factor("planted", 1e-3 * self.brim)
 
-    monkeypatch.setitem(MODELS, "brim", Brim)
+    monkeypatch.setitem(MODELS, "brim", Entry(Brim, "", ""))
     single = {"epochs": 1, "batch_windows": None, "clip": None, "lr": 1e38}
     with pytest.raises(WorkError, match=r"a weight is no longer finite at step 1 \(epoch 1\)"):
         fit("brim", tracks=swarm, **{**settings, **single})

@@ -218,7 +218,7 @@ def test_a_guide(guide, name):
     with quiet_pyro():
         model = model_of(name)
         torch.manual_seed(1)
-        posterior = find_guide(guide).for_model(model).double()
+        posterior = find_guide(guide)(model).double()
         with torch.no_grad():
             for parameter in posterior.parameters():
                 parameter.add_(0.1 * torch.randn_like(parameter))

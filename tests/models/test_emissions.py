@@ -271,7 +271,7 @@ def test_a_network_learns_what_it_is_shown():
     ("build", "message"),
     [
         (lambda: PositionEmission(2, -0.1), "noise: it must be positive, and it is -0.1"),
-        (lambda: PositionEmission(2, 0.0), "noise: it must be positive, .* emission=None"),
+        (lambda: PositionEmission(2, 0.0), "noise: it must be positive, .* ExactEmission"),
         (lambda: PositionEmission(2, [1.0, 1.0, 1.0]), r"number or \(2,\) in shape, and it is \(3"),
         (lambda: PositionEmission(0, 0.1), "space must be a positive whole number, not 0"),
         (lambda: PositionEmission(2, dist.Normal(0.0, 1.0)), "noise: it must be positive"),

@@ -114,7 +114,7 @@ def test_exact_states_are_scored_with_limits_from_the_tracks():
     """The 98th percentile is the limit itself, since more than 2 % of the speeds are at it."""
     tracks = simulate_boids(10, 200, 1, seed=1)
     model = boids(scales_of(tracks), observed="states")
-    assert model.emission is None
+    assert model.emission.is_exact
     assert model.observes == "states"
     torch.testing.assert_close(model.transition.min_speed, torch.tensor(0.6))
     torch.testing.assert_close(model.transition.max_speed, torch.tensor(1.2))

@@ -73,7 +73,7 @@ def test_options_change_the_model():
     assert "transition.homing_gain" not in priors_of(free)
     assert float(free.transition.homing_gain) == 0
     exact = linear(SCALES, observed="states")
-    assert exact.emission is None
+    assert exact.emission.is_exact
     assert isinstance(linear(SCALES, edges="radius:1.5").edges, LatentEdges)
     with pytest.raises(InputError, match="observed: it must be 'positions' or 'states'"):
         linear(SCALES, observed="velocities")

@@ -572,7 +572,7 @@ def test_observations_of_another_type_are_refused_with_both():
         (
             3,
             "radius:1",
-            "edges: it must be ObservedEdges, LatentEdges, RelationalEdges or None, and str is not",
+            "edges: it must be ObservedEdges, LatentEdges or RelationalEdges, and str is not",
         ),
     ],
 )

@@ -78,7 +78,7 @@ def plot_model(fit: Fit, ax: Axes | None = None) -> tuple[Figure, Axes]:
 def _state_space(ax: Axes, model: StateSpaceModel) -> None:
     """Draw three steps of a state-space model."""
     times = ("t-1", "t", "t+1")
-    exact = model.emission is None
+    exact = model.emission.is_exact
     hidden = isinstance(model.edges, LatentEdges | InferredEdges)
     of_states = isinstance(model.edges, LatentEdges | DynamicRelationalEdges)
     states, graphs, seen = [], [], []

@@ -16,7 +16,7 @@ from torch.func import vmap
 from swarmssm.graphs import dense
 from swarmssm.inference.data import Prepared
 from swarmssm.inference.filtering.affine import AffineMap, Window
-from swarmssm.inference.filtering.layouts import JOINT_LIMIT, frames_of, is_linear
+from swarmssm.inference.filtering.layouts import JOINT_LIMIT, frames_of
 from swarmssm.inference.filtering.matrices import (
     block_diagonal,
     cholesky,
@@ -87,7 +87,7 @@ def filter_draws(
     features = model.state_dim
     found = []
     with torch.no_grad(), pyro.validation_enabled(False):
-        if individuals > JOINT_LIMIT and is_linear(model.emission):
+        if individuals > JOINT_LIMIT and model.emission.is_linear:
             for draw in range(draws):
                 own = {name: value[draw] for name, value in values.items()}
                 found.append(_filter_blocks(model, prepared, own, replicates))
@@ -114,7 +114,7 @@ def _filter_joint(
     laws = _Laws(model, values, rows)
     shape = (rows, individuals, features)
     first_mean, first_covariance = laws.initial(individuals)
-    observed = is_linear(model.emission)
+    observed = model.emission.is_linear
     still = laws.observe(first_mean.new_zeros(shape)) if observed else None
     size = prepared.observations.shape[-1]
     kinematic = isinstance(model.transition, KinematicTransition)
@@ -215,7 +215,7 @@ class _Laws:
         if still is not None:
             return still
         emission = self.model.emission
-        if emission is None:
+        if emission.is_exact:
             raise ValueError("a model that observes states exactly has nothing to filter")
         mean, jacobian, noise = self._each(lambda at: tuple(emission.linearize(at)), states)
         return AffineMap(

@@ -165,7 +165,7 @@ def _drawn_by(fit: Fit) -> bool:
         # Draws of edges come with the parameters under which they were drawn.
         return False
     return getattr(fit.guide, "parameters_guide", None) is not None and (
-        model.emission is None or _is_filtered(fit)
+        model.emission.is_exact or _is_filtered(fit)
     )
 
 
@@ -173,7 +173,7 @@ def _is_filtered(fit: Fit) -> bool:
     """Return whether a Kalman filter sums out the latent states."""
     return (
         isinstance(fit.model, StateSpaceModel)
-        and fit.model.emission is not None
+        and not fit.model.emission.is_exact
         and isinstance(fit.guide, LinearizedGuide)
         and not has_inferred_edges(fit.model)
     )
@@ -191,7 +191,7 @@ def _of_kernels(
 ) -> tuple[str, Foreseen]:
     """Average over sampled beginnings what the transition expects next."""
     model: Any = fit.model
-    exact = model.emission is None and not has_inferred_edges(model)
+    exact = model.emission.is_exact and not has_inferred_edges(model)
     predictor = fit.predictor()
     trials, times, individuals = prepared.mask.shape
     count = draws if exact else LATENTS

@@ -10,9 +10,10 @@ from swarmssm.analysis.scoring.evaluation import Evaluation
 from swarmssm.analysis.scoring.table import NOTHING
 from swarmssm.analysis.scoring.table import format_number as number
 from swarmssm.inference import Fit
+from swarmssm.inference.guides import GUIDES
 from swarmssm.models import PositionEmission, StateSpaceModel
-from swarmssm.models.prior_text import distribution_text
-from swarmssm.models.priors import parameters_of
+from swarmssm.models.priors import prior_texts
+from swarmssm.models.registry import MODELS
 from swarmssm.tracks.summary import summarize
 
 __all__ = [
@@ -37,54 +38,6 @@ ORIGIN = {
 }
 #: Numbers of one parameter that are listed at most.
 MOST_ROWS = 20
-#: What the ready-made parts are, for a reader who has not read their code.
-IN_WORDS = {
-    "graph-vae": (
-        "The thesis's graph variational autoencoder: a latent state for each individual and frame, "
-        "drawn from N(0, I), is decoded into its next state, and each pair's into their next edge. "
-        "Nothing links one frame's latent states to the next."
-    ),
-    "boids": (
-        "A state-space model of positions and velocities. Each individual is pulled towards those "
-        "it sees (cohesion), pushed from them (separation), and turned to their velocities "
-        "(alignment), with gains that are inferred, besides walls, speed regulation and noise."
-    ),
-    "kernel": (
-        "A state-space model of positions and velocities. What a neighbour does to an individual "
-        "is a smooth curve of its distance, one for the pull or push and one for alignment, "
-        "besides walls, speed regulation and noise."
-    ),
-    "graph-ssm": (
-        "A state-space model of positions and velocities, whose accelerations a graph network "
-        "makes of what each individual sees of the others, alike under rotation, reflection and "
-        "translation unless place matters."
-    ),
-    "linear": (
-        "A state-space model whose next state is a linear function of the present one, plus "
-        "noise: what a Kalman filter solves exactly."
-    ),
-    "encoder": (
-        "The thesis's encoder: a gated graph network and graph convolutions read each frame's "
-        "states along its interaction graph, and give mean and variance of the latent states."
-    ),
-    "linearized": (
-        "The states are summed out by a Kalman smoother about their own path (exactly, where the "
-        "model is linear and normal); the parameters are normal about their mode, moved to where "
-        "the ELBO is highest."
-    ),
-    "markov": (
-        "Each state given the one before is normal, with means and spreads learned for each "
-        "frame: what a smoother says, without its equations. The parameters have a guide of "
-        "their own."
-    ),
-    "smoothing": (
-        "Each state is normal by itself, about the mean of a smoother that a network corrects: "
-        "means are good, spreads too narrow. The parameters have a guide of their own."
-    ),
-    "parameters": "The states are known as they are observed; only the parameters are inferred.",
-}
-#: Of a prior that is a function of other parameters.
-DEPENDENT = "given others"
 
 
 def data_facts(fit: Fit, tracks: xr.Dataset, part: str, what: str = "scored part") -> Facts:
@@ -179,14 +132,7 @@ def parameter_rows(fit: Fit) -> list[dict[str, str]]:
 
 def _priors(fit: Fit) -> dict[str, str]:
     """Return the priors of parameters as text, by full name and by the last part of it."""
-    texts = {}
-    for full, (module, attribute) in parameters_of(fit.model).items():
-        sample = vars(module).get("_pyro_samples", {}).get(attribute)
-        if sample is None:
-            continue
-        prior = getattr(sample, "prior", sample)
-        known = hasattr(prior, "log_prob")
-        texts[full] = distribution_text(prior) if known else DEPENDENT
+    texts = prior_texts(fit.model)
     return {full.rpartition(".")[2]: text for full, text in texts.items()} | texts
 
 
@@ -231,7 +177,8 @@ def scoring_facts(evaluation: Evaluation) -> Facts:
 
 def _described(name: str) -> str:
     """Return a part's name with what it is, if that is known."""
-    return f"{name}. {IN_WORDS[name]}" if name in IN_WORDS else name
+    entry = MODELS.get(name) or GUIDES.get(name)
+    return name if entry is None else f"{name}. {entry.description}"
 
 
 def _emission_words(fit: Fit) -> Facts:
@@ -239,7 +186,7 @@ def _emission_words(fit: Fit) -> Facts:
     model = fit.model
     if not isinstance(model, StateSpaceModel):
         return []
-    if model.emission is None:
+    if model.emission.is_exact:
         return [("observations", "states, taken to be exact")]
     if isinstance(model.emission, PositionEmission):
         return [("observations", "positions, with tracking noise")]

@@ -92,7 +92,7 @@ class Taylor:
 
     def observe(self, model: StateSpaceModel, mean: Tensor, covariance: Tensor) -> AffineMap:
         """Return the emission by its ``linearize``."""
-        if model.emission is None:
+        if model.emission.is_exact:
             raise ValueError("a model that observes states exactly has nothing to filter")
         line = model.emission.linearize(mean)
         return AffineMap(
@@ -137,7 +137,7 @@ class Window:
     @classmethod
     def of(cls, model: StateSpaceModel, batch: SwarmBatch) -> "Window":
         """Ask the model, whose parameters must be fixed."""
-        if model.emission is None:
+        if model.emission.is_exact:
             raise ValueError("a model that observes states exactly has nothing to filter")
         individuals, features = batch.num_individuals, model.state_dim
         initial = model.initial()

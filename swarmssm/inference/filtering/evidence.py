@@ -22,7 +22,6 @@ from swarmssm.inference.filtering.layouts import (
     Layout,
     Points,
     frames_of,
-    is_linear,
 )
 from swarmssm.inference.filtering.positions import PositionPath
 from swarmssm.models import KinematicTransition, StateSpaceModel, SwarmBatch
@@ -197,7 +196,7 @@ def _extended(
     model: StateSpaceModel, batch: SwarmBatch, values: Mapping[str, Tensor], layout: Layout
 ) -> Tensor:
     """Filter without a graph, and hang the derivative on afterwards."""
-    if not is_linear(model.emission):
+    if not model.emission.is_linear:
         return extended_kalman(model, batch, values).log_evidence
     lines: dict[int, tuple[Tensor, ...]] = {}
     still = {name: value.detach() for name, value in values.items()}
@@ -229,7 +228,7 @@ def _smoothed(
     frames: Frames, model: StateSpaceModel, batch: SwarmBatch, values: Mapping[str, Tensor]
 ) -> Points:
     """Return the smoothed path of the extended Kalman filter."""
-    if is_linear(frames.emission):
+    if frames.emission.is_linear:
         run, chain = _filter(frames)
         return frames.points(*chain_smooth(chain, run))
     found = smooth(extended_kalman(model, batch, values))

@@ -86,7 +86,7 @@ def weigh_paths(
     ValueError
         If the model has no emission.
     """
-    if model.emission is None:
+    if model.emission.is_exact:
         raise ValueError("a model that observes states exactly has no hidden paths to weigh")
     if not model.transition.is_smooth:
         raise InputError(

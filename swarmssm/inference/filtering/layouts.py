@@ -14,15 +14,13 @@ from swarmssm.inference.filtering.matrices import block_diagonal, own_blocks
 from swarmssm.models import (
     Emission,
     KinematicTransition,
-    PositionEmission,
-    StateEmission,
     StateSpaceModel,
     StepInputs,
     SwarmBatch,
 )
 from swarmssm.models.transitions.base import covariance_of
 
-__all__ = ["JOINT_LIMIT", "Frames", "Layout", "Points", "frames_of", "is_linear"]
+__all__ = ["JOINT_LIMIT", "Frames", "Layout", "Points", "frames_of"]
 
 Layout = Literal["auto", "joint", "blocks"]
 #: Up to so many individuals the covariance of the whole swarm is kept.
@@ -62,7 +60,7 @@ class Frames(ABC):
     @property
     def emission(self) -> Emission:
         """The law of observation."""
-        if self.model.emission is None:
+        if self.model.emission.is_exact:
             raise ValueError("a model that observes states exactly has nothing to filter")
         return self.model.emission
 
@@ -161,11 +159,6 @@ def frames_of(model: StateSpaceModel, batch: SwarmBatch, layout: Layout) -> Fram
     return _Joint(model, batch) if layout == "joint" else _Blocks(model, batch)
 
 
-def is_linear(emission: Emission | None) -> bool:
-    """Return whether what is observed is an affine function of the state."""
-    return type(emission) in (PositionEmission, StateEmission)
-
-
 def _as_double(line: AffineMap) -> AffineMap:
     return AffineMap(*(part.double() for part in line))
 
@@ -229,7 +222,7 @@ class _Blocks(Frames):
         super().__init__(model, batch)
         _, _, features = self.shape
         initial = model.initial()
-        if model.emission is None:
+        if model.emission.is_exact:
             raise ValueError("a model that observes states exactly has nothing to filter")
         seen = batch.mask & batch.present
         size = batch.observations.shape[-1]

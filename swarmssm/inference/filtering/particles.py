@@ -107,7 +107,7 @@ def bootstrap_particle_filter(
         raise InputError(f"particles must be at least 1, and it is {particles}.")
     if not 0 <= resample_below <= 1:
         raise InputError(f"resample_below must be within 0 and 1, and it is {resample_below}.")
-    if model.emission is None:
+    if model.emission.is_exact:
         raise ValueError("a model that observes states exactly has nothing to filter")
     if isinstance(seed, torch.Generator):
         seed = int(torch.randint(2**62, (), generator=seed))

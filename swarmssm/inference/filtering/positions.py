@@ -69,7 +69,7 @@ class PositionPath:
     """
 
     def __init__(self, model: StateSpaceModel, batch: SwarmBatch) -> None:
-        if model.emission is None or not isinstance(model.transition, KinematicTransition):
+        if model.emission.is_exact or not isinstance(model.transition, KinematicTransition):
             raise ValueError("an emission and a kinematic transition are needed")
         self.model, self.batch = model, batch
         self.emission, self.transition = model.emission, model.transition
@@ -237,7 +237,7 @@ class PositionPath:
         value, gradient, curvature = _gaussian(
             residual, line.jacobian.double(), noise / weights[..., None, None]
         )
-        if getattr(self.emission, "tails", "gaussian") != "gaussian":
+        if self.emission.has_heavy_tails:
             # The reweighted Gaussian has the slope of the heavy-tailed density, not its value.
             value = self.emission(states).log_prob(batch.observations).double()
         if not bool(seen.all()):

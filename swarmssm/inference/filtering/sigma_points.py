@@ -74,7 +74,7 @@ class SigmaPoints:
 
     def observe(self, model: StateSpaceModel, mean: Tensor, covariance: Tensor) -> AffineMap:
         """Return the emission as an affine map of joint states; see :meth:`step`."""
-        if model.emission is None:
+        if model.emission.is_exact:
             raise ValueError("a model that observes states exactly has nothing to filter")
         points, factor = self._spread(mean, covariance)
         seen = model.emission(points)

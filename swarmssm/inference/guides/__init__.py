@@ -5,7 +5,7 @@ from swarmssm.inference.guides.encoder import GraphEncoderGuide
 from swarmssm.inference.guides.linearized import LinearizedGuide
 from swarmssm.inference.guides.markov import MarkovGuide
 from swarmssm.inference.guides.parameters import GlobalGuide
-from swarmssm.inference.guides.registry import GUIDES, default_guide, find_guide
+from swarmssm.inference.guides.registry import GUIDES, default_guide, describe_guide, find_guide
 from swarmssm.inference.guides.smoothing import SmoothingGuide
 
 __all__ = [
@@ -20,5 +20,6 @@ __all__ = [
     "SmoothingGuide",
     "SwarmGuide",
     "default_guide",
+    "describe_guide",
     "find_guide",
 ]

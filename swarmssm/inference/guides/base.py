@@ -211,7 +211,7 @@ class PathGuide(SwarmGuide):
     def forward(self, batch: SwarmBatch) -> None:
         """Sample the parameters, the edges if they are inferred, and the paths."""
         values = self.parameters_guide()
-        if self.model.emission is None and not self.has_edges:
+        if self.model.emission.is_exact and not self.has_edges:
             return
         rows = torch.arange(len(batch), device=batch.mask.device)
         with (
@@ -220,7 +220,7 @@ class PathGuide(SwarmGuide):
         ):
             if self.has_edges:
                 batch = self.edges_guide(batch)
-            if self.model.emission is None:
+            if self.model.emission.is_exact:
                 return
             states, log_density = self.path(batch, values)
             pyro.sample("states", dist.Delta(states, log_density=log_density, event_dim=3))
@@ -238,6 +238,6 @@ class ParameterGuide(PathGuide):
     window: ClassVar[int | None] = 50
 
     def __init__(self, model: StateSpaceModel, parameters: str = "multivariate") -> None:
-        if model.emission is not None:
+        if not model.emission.is_exact:
             raise ValueError("the model's states are hidden: choose a guide that draws them")
         super().__init__(model, parameters)

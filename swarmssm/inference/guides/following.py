@@ -115,7 +115,7 @@ class ModelInformedGuide(PathGuide):
         self.passes = passes
         self.chain = _chain_for(model, type(self).__name__)
         state, free = self.chain.state_dim, self.chain.noise_dim
-        shown = None if model.emission is None else _features_shown(model.emission, state)
+        shown = None if model.emission.is_exact else _features_shown(model.emission, state)
         self.shown = shown
         if shown is None:
             self.recogniser = multilayer_perceptron([_observed_dim(model), hidden, 2 * state])
@@ -287,7 +287,7 @@ class ModelInformedGuide(PathGuide):
             location = initial.mean + location * variance.sqrt() - reference
             precision = (BOUND * (precision / BOUND).tanh()).exp() / variance
             return Observations(location, precision * mask)
-        assert self.model.emission is not None
+        assert not self.model.emission.is_exact
         seen = self.model.emission(reference)
         width = observed.shape[-1]
         noise = seen.variance.expand(observed.shape)
@@ -383,7 +383,7 @@ def _chain_for(model: StateSpaceModel, guide: str) -> Chain:
 
 def _observed_dim(model: StateSpaceModel) -> int:
     """Return the number of features that are observed."""
-    if model.emission is None:
+    if model.emission.is_exact:
         return model.state_dim
     with torch.no_grad(), torch.random.fork_rng():
         weight = next(iter(model.emission.parameters()), torch.zeros(()))

@@ -209,7 +209,7 @@ def _check(model: StateSpaceModel) -> None:
     """Refuse a model whose paths a linearised smoother cannot draw."""
     transition = model.transition
     name = type(transition).__name__
-    if model.emission is None:
+    if model.emission.is_exact:
         raise InputError(
             "guide: a linearized guide draws hidden states, and this model's are observed exactly; "
             "choose 'parameters'."

@@ -68,7 +68,7 @@ class StateSpacePredictor(Predictor):
 
         A trial that is too long for one window is cut into pieces that overlap.
         """
-        if self.model.emission is None:
+        if self.model.emission.is_exact:
             hidden = ~prepared.mask.unsqueeze(-1)
             exact = prepared.observations.masked_fill(hidden, torch.nan)
             repeated = exact.expand(draws, *exact.shape) if draws else None
@@ -96,7 +96,7 @@ class StateSpacePredictor(Predictor):
         exactly are what was observed, and a guide that can only draw is asked for the mean of its
         draws.
         """
-        if self.model.emission is None or not isinstance(self.guide, PathGuide):
+        if self.model.emission.is_exact or not isinstance(self.guide, PathGuide):
             return self.posterior(prepared, 0)[0]
         pieces, values = [], self._middle()
         with pyro.validation_enabled(False):
@@ -114,7 +114,7 @@ class StateSpacePredictor(Predictor):
         All pieces of a long trial are drawn with the same parameters; states of different pieces
         are independent given these.
         """
-        if self.model.emission is None:
+        if self.model.emission.is_exact:
             exact = prepared.observations.masked_fill(~prepared.mask.unsqueeze(-1), torch.nan)
             return exact.expand(draws, *exact.shape), self._draw_parameters(draws) or ({},) * draws
         pieces = []
@@ -271,7 +271,7 @@ class StateSpacePredictor(Predictor):
         graph = dense(batch.adjacency, batch.observations.dtype)[:, -1]
         shape = (draws,) * bool(draws)
         values: tuple[Values, ...] | None = None
-        if self.model.emission is None:
+        if self.model.emission.is_exact:
             last = batch.observations[:, -1]
             states, values = last.expand(*shape, *last.shape), self._draw_parameters(draws)
         else:
@@ -287,7 +287,7 @@ class StateSpacePredictor(Predictor):
         values = self._draw_parameters(draws)
         with pyro.validation_enabled(False):
             many, known = guide.edges_guide.draws(batch, draws)
-            if self.model.emission is None:
+            if self.model.emission.is_exact:
                 states = many.observations[:, -1]
             elif not draws:
                 states = guide.last_state(many, self._middle(), 0)
@@ -330,7 +330,7 @@ class StateSpacePredictor(Predictor):
 
         With ``carry``, who was seen at most :data:`MAX_CARRY` frames before the end is there.
         """
-        exact = self.model.emission is None and not isinstance(self.model.edges, InferredEdges)
+        exact = self.model.emission.is_exact and not isinstance(self.model.edges, InferredEdges)
         length = 1 if exact else self.window
         batch = frames_of(prepared, trials, rows - (length - 1), length)
         reach = MAX_CARRY + 1 if carry else 1
@@ -501,7 +501,7 @@ class StateSpacePredictor(Predictor):
         with self.model.fixed(values), pyro.validation_enabled(False):
             following = self.model.step(states, StepInputs(graph, None, present, types))
             location, variance = following.mean[..., :space], following.variance[..., :space]
-            if self.model.emission is not None:
+            if not self.model.emission.is_exact:
                 variance = variance + self.model.emission(following.mean).variance[..., :space]
         inner = getattr(following, "velocity", following)
         inner = getattr(inner, "base_dist", inner)

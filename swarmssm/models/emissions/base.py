@@ -1,7 +1,7 @@
 """What every emission offers: the distribution of what is seen of a state."""
 
 from collections.abc import Callable
-from typing import Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import torch
 from pyro.distributions import TorchDistribution
@@ -44,6 +44,15 @@ class Emission(PyroModule):  # type: ignore[misc]
 
     #: Which features of the tracks are observed.
     observes: Observes = "positions"
+    #: Whether the states themselves are observed, so that none are latent.
+    is_exact: ClassVar[bool] = False
+    #: Whether the mean is an affine function of the state.
+    is_linear: ClassVar[bool] = False
+
+    @property
+    def has_heavy_tails(self) -> bool:
+        """Whether the noise is not Gaussian, so that :meth:`weights` differ from 1."""
+        return False
 
     def forward(self, states: torch.Tensor) -> TorchDistribution:
         """Return the distribution of the observations.

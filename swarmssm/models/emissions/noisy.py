@@ -70,12 +70,17 @@ class NoisyEmission(Emission):
                 shapes=shapes,
             )
 
+    @property
+    def has_heavy_tails(self) -> bool:
+        """Whether the noise has Student's t distribution."""
+        return self.tails != "gaussian"
+
     def _assign_noise(self, name: str, value: Any, size: int) -> None:
         """Take a positive parameter with a value for all features, or one for each."""
         if isinstance(value, int | float) and value == 0:
             raise InputError(
                 f"{name}: it must be positive, and it is 0. For states that are observed exactly "
-                "give the model emission=None."
+                "give the model ExactEmission()."
             )
         assign(self, name, value, constraint=constraints.positive, shapes=[(), (size,)])
 

@@ -1,6 +1,6 @@
 """Positions, or positions and velocities, with tracking noise."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 
@@ -26,6 +26,7 @@ class PositionEmission(NoisyEmission):
     """
 
     observes: Observes = "positions"
+    is_linear: ClassVar[bool] = True
 
     def __init__(
         self, space: int, noise: Any, *, tails: Tails = "gaussian", excess_degrees: Any = 2.0
@@ -60,6 +61,7 @@ class StateEmission(NoisyEmission):
     """
 
     observes: Observes = "states"
+    is_linear: ClassVar[bool] = True
 
     def __init__(
         self,

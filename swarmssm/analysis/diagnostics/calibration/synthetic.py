@@ -105,8 +105,7 @@ class FixedModel:
             If an option or prior does not fit, it is no state-space model, or it has weights to be
             learned that no prior tells how to draw.
         """
-        builder: Any = find_model(self.model) if isinstance(self.model, str) else self.model
-        builder = getattr(builder, "for_scales", builder)
+        builder = find_model(self.model)
         with pyro.settings.context(module_local_params=True):
             try:
                 model = builder(self.scales, **self.options)
@@ -133,8 +132,7 @@ class FixedModel:
 
     def default_guide(self) -> str:
         """Return the guide that is taken for the model where none is named."""
-        name = self.model if isinstance(self.model, str) else ""
-        return default_guide(name, self())
+        return default_guide(self())
 
 
 @dataclass(frozen=True)

@@ -189,7 +189,7 @@ def _sighted(subject: Subject, states: torch.Tensor, values: Mapping[str, Any]) 
     model, scaler = subject.fit.model, subject.fit.preparation.scaler
     space = subject.num_space
     observed = states[..., :space]
-    if isinstance(model, StateSpaceModel) and model.emission is not None:
+    if isinstance(model, StateSpaceModel) and not model.emission.is_exact:
         # An individual that is not there has no state; what is drawn for it is not looked at.
         with subject.fit.given(values), torch.no_grad():
             observed = model.emission(states.nan_to_num()).sample()[..., :space]

@@ -1,6 +1,5 @@
 """How many data, and how good, it takes to find the parameters of a model again."""
 
-import inspect
 import json
 import math
 import time
@@ -35,6 +34,7 @@ from swarmssm.inference.guides.parameters import GlobalGuide
 from swarmssm.jobs import Progress, Row, parallel_map
 from swarmssm.models import ObservedEdges, Scales, StateSpaceModel, find_model
 from swarmssm.models.parameters import priors_of
+from swarmssm.models.registry import options_of
 from swarmssm.tracks import MAX_COORDINATE, Array, make_tracks
 
 __all__ = ["recovery_study"]
@@ -358,8 +358,7 @@ def _known(values: Mapping[str, float], names: Sequence[str]) -> dict[str, float
 
 def _arguments(model: str | Callable[..., Any]) -> set[str]:
     """Return the names of the options of a model's constructor."""
-    builder: Any = find_model(model) if isinstance(model, str) else model
-    return set(inspect.signature(getattr(builder, "for_scales", builder)).parameters)
+    return set(options_of(find_model(model)))
 
 
 def _gather(
