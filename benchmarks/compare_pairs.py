@@ -64,7 +64,7 @@ def fitted(tracks: xr.Dataset, seed: int) -> dict[str, Fit]:
     """Fit both laws to the first half of the frames."""
     options = {"split_by": "time", "fractions": (0.5, 0.0, 0.5), "seed": seed}
     return {
-        name: fit(model, "linearized", tracks, **options)
+        name: fit(model, tracks, guide="linearized", **options)
         for name, model in (("aligned", aligned), ("unaligned", unaligned))
     }
 

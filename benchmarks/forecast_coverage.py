@@ -72,8 +72,8 @@ def one(number: int, options: argparse.Namespace) -> dict[str, object]:
     fits = {
         name: inference.fit(
             model(priors),
-            "linearized",
             tracks,
+            guide="linearized",
             fractions=(0.6, 0.0, 0.4),
             window=None,
             seed=number,

@@ -147,8 +147,8 @@ def main() -> None:
     cpu, wall = time.process_time(), time.perf_counter()
     run = fit(
         "graph-ssm",
-        "parameters",
         tracks,
+        guide="parameters",
         model_options={
             "width": options.width,
             "rounds": options.rounds,

@@ -34,7 +34,7 @@ def main() -> None:
     sizes = options.individuals, options.frames, 1
     tracks = simulate_boids(*sizes, observation_noise=0.03, seed=5)
     if options.run is None:
-        fitted = fit("boids", "linearized", tracks.isel(time=slice(0, 300)), seed=0)
+        fitted = fit("boids", tracks.isel(time=slice(0, 300)), guide="linearized", seed=0)
     else:
         fitted = Fit.load(options.run)
     before = gigabytes()

@@ -46,7 +46,12 @@ def fitted(name: str, model: str, training: xr.Dataset, folder: Path, **options:
         return Fit.load(place)
     began = time.process_time()
     fit = inference.fit(
-        model, "linearized", training, fractions=(1.0, 0.0, 0.0), model_options=options, out=place
+        model,
+        training,
+        guide="linearized",
+        fractions=(1.0, 0.0, 0.0),
+        model_options=options,
+        out=place,
     )
     print(f"{name}: {time.process_time() - began:.0f} s of processor time, ", end="")
     print(f"{len(fit.history)} evaluations", flush=True)

@@ -125,7 +125,7 @@ def main() -> None:
     test = tracks.isel(trial=slice(options.flocks, None))
     common: dict[str, Any] = {"graph": "radius:2.5", "seed": options.seed, "fractions": (1, 0, 0)}
 
-    truth = fit(true_law, "linearized", training.isel(time=slice(0, 50)), steps=1, **common)
+    truth = fit(true_law, training.isel(time=slice(0, 50)), guide="linearized", steps=1, **common)
     yardstick = report(truth, test, "boids with the true parameters", options, None)
     best = yardstick.sel(source="forces", probe="linear")["source_vector_r2"]
     against = {term: float(best.sel(term=term)) for term in TERMS}
@@ -148,9 +148,11 @@ def trained(
 ) -> Fit:
     """Fit one of the models, told nothing but positions and the radius of the graph."""
     if name != "graph-ssm":
-        return fit(name, "auto", training, epochs=options.vae_epochs, **common)
+        return fit(name, training, epochs=options.vae_epochs, **common)
     told = {"noise": "constant", "tails": "gaussian", "symmetries": "square"}
-    return fit(name, options.guide, training, model_options=told, epochs=options.epochs, **common)
+    return fit(
+        name, training, guide=options.guide, model_options=told, epochs=options.epochs, **common
+    )
 
 
 def report(

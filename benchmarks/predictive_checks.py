@@ -127,7 +127,7 @@ def one_refit(seed: int, options: argparse.Namespace) -> dict[str, Any]:
         0.3,
     )
     tracks, _, _ = SyntheticData(model, 200, INDIVIDUALS, 1).draw(seed)
-    fitted = inference.fit(model, "linearized", tracks, seed=seed, fractions=(0.7, 0.0, 0.3))
+    fitted = inference.fit(model, tracks, guide="linearized", seed=seed, fractions=(0.7, 0.0, 0.3))
     checked = check(fitted, tracks, draws=options.draws, part="test", seed=seed + 1)
     return line(seed, checked)
 
@@ -180,7 +180,7 @@ def wrong(options: argparse.Namespace) -> None:
         observation_noise=0.002, seed=3, burn_in=20,
     )  # fmt: skip
     tracks = tracks.drop_vars(["velocity", "adjacency"], errors="ignore")
-    fitted = inference.fit("boids", "linearized", tracks, seed=0)
+    fitted = inference.fit("boids", tracks, guide="linearized", seed=0)
     checked = check(fitted, tracks, draws=options.draws, part="test", seed=1)
     print("| statistic | p | corrected | verdict |")
     print("|---|---|---|---|")

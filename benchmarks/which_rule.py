@@ -39,7 +39,7 @@ def fitted(place: Path, model: str, tracks: xr.Dataset, steps: int) -> Fit:
     options = dict(MODELS[model])
     if model == "graph-ssm":
         options["steps"] = steps
-    fit = inference.fit(model, "auto", tracks, graph="complete", out=place, **options)
+    fit = inference.fit(model, tracks, graph="complete", out=place, **options)
     print(f"{place.name}: {time.process_time() - began:.0f} s of processor time", flush=True)
     return fit
 

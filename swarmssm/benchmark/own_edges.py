@@ -52,7 +52,7 @@ class InferredEdgesMethod(OwnMethod):
         }
 
         def learn(**more: Any) -> Fit:
-            return fit(self.model, tracks=task.tracks, **settings | more)
+            return fit(self.model, task.tracks, **settings | more)
 
         first = learn(graph=f"k-nearest:{self.neighbors[0]}", steps=FEWEST)
         rules = [f"radius:{length * first.scales.spacing:.3g}" for length in self.spacings]

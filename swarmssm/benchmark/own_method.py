@@ -60,10 +60,10 @@ class OwnMethod:
         }
         if "epochs" in settings and seconds is not None:
             pilot = _Timer()
-            fit(self.model, tracks=task.tracks, callbacks=[pilot], **settings | {"epochs": PILOT})
+            fit(self.model, task.tracks, callbacks=[pilot], **settings | {"epochs": PILOT})
             left = seconds - (time.process_time() - began)
             settings["epochs"] = max(PILOT, min(settings["epochs"], int(left / pilot.seconds)))
-        return fit(self.model, tracks=task.tracks, **settings)
+        return fit(self.model, task.tracks, **settings)
 
 
 class _Timer:

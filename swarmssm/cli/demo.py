@@ -98,8 +98,8 @@ def demo(
             with training_progress(f"{title}: {model}") as show:
                 fits[model] = inference.fit(
                     model,
-                    "encoder" if model == THESIS else "auto",
                     tracks,
+                    guide="encoder" if model == THESIS else "auto",
                     source=file,
                     out=out / f"{name}-{model}",
                     overwrite=True,

@@ -35,7 +35,7 @@ def fit(
     out: Annotated[Path, typer.Option(help="Run folder to write.")],
     model: Annotated[
         str, typer.Option(help="Name of a model, or module:attribute of your own.")
-    ] = "graph-vae",
+    ] = "boids",
     guide: Annotated[
         str,
         typer.Option(
@@ -138,8 +138,8 @@ def fit(
         with training_progress(f"{file.name}: {model}") as show:
             fitted = inference.fit(
                 model,
-                guide,
                 tracks,
+                guide=guide,
                 source=file,
                 out=out,
                 resume=resume,

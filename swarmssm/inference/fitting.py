@@ -27,6 +27,7 @@ from swarmssm.inference.run_folder import (
     Builders,
     Run,
     build_modules,
+    check_names,
     check_run_output,
     finish_run,
     provenance_now,
@@ -42,6 +43,7 @@ from swarmssm.inference.training import (
     quiet_pyro,
     train,
 )
+from swarmssm.io import Recordings, as_tracks
 from swarmssm.models import (
     OneStepModel,
     Scales,
@@ -50,7 +52,6 @@ from swarmssm.models import (
     SwarmModel,
     scales_of,
 )
-from swarmssm.tracks import validate_tracks
 from swarmssm.tracks.splits import Split, split, take
 
 __all__ = ["fit"]
@@ -60,10 +61,12 @@ FREE_ON_RESUME = {"device", "checkpoint_every"}
 
 
 def fit(
-    model: str | Callable[..., Any] = "graph-vae",
-    guide: str | Callable[..., Any] = "auto",
-    tracks: xr.Dataset | None = None,
+    model: str | Callable[..., Any] = "boids",
+    tracks: Recordings | None = None,
     *,
+    guide: str | Callable[..., Any] = "auto",
+    fps: float | None = None,
+    unit: str | None = None,
     source: str | Path = "",
     out: str | Path | None = None,
     resume: bool = False,
@@ -79,13 +82,18 @@ def fit(
 
     Parameters
     ----------
-    model, guide
-        Registered names (:data:`swarmssm.models.MODELS`, :data:`swarmssm.inference.GUIDES`),
-        ``module:attribute``, or the constructors themselves: a callable from
-        :class:`swarmssm.models.Scales` and options to a model, and one from the model and options
-        to a guide. The guide ``"auto"`` is the model's usual one.
+    model
+        Registered name (:data:`swarmssm.models.MODELS`), ``module:attribute``, or the
+        constructor itself: a callable from :class:`swarmssm.models.Scales` and options to a model.
     tracks
-        Tracks.
+        Tracks; or a file, a DataFrame or an array ``(time, individual, space)`` from which
+        :func:`swarmssm.io.as_tracks` makes them; or several of these in a list or a dictionary,
+        which are pooled: each is a trial or more.
+    guide
+        Likewise (:data:`swarmssm.inference.GUIDES`): a callable from the model and options to a
+        guide. ``"auto"`` is the model's default.
+    fps, unit
+        Frames per second and unit of length, where arrays or tables do not tell them.
     source
         File that the tracks were read from, noted in the provenance.
     out
@@ -114,14 +122,17 @@ def fit(
         If the loss is NaN or explodes, or nothing can be written.
     """
     if tracks is None:
-        raise InputError("tracks: none are given.")
-    tracks = validate_tracks(tracks)
+        raise InputError('tracks: none are given. Name the model first: fit("boids", tracks).')
+    if not source and isinstance(tracks, str | Path):
+        source = tracks
+    tracks = as_tracks(tracks, fps=fps, unit=unit)
     builders = Builders(*(None if isinstance(part, str) else part for part in (model, guide)))
     names = {"model": _name(model), "guide": _name(guide)}
     wanted = settings_from({**names, **settings})
     device = _device(wanted.device)
     folder = None if out is None else Path(out)
     if folder is not None:
+        check_names(wanted)
         check_run_output(folder, overwrite=overwrite or resume)
         folder = real_folder(folder)
     parts = split(tracks, wanted.split_by, wanted.fractions, wanted.gap)
@@ -352,7 +363,7 @@ def _device(name: str) -> torch.device:
         device = torch.device(name)
         torch.zeros((), device=device).item()
     except (RuntimeError, AssertionError) as error:
-        raise InputError(f"device: {name!r} is not to be had here; choose cpu.") from error
+        raise InputError(f"device: {name!r} is not available; choose cpu.") from error
     return device
 
 

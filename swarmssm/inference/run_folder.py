@@ -45,6 +45,7 @@ __all__ = [
     "Builders",
     "Run",
     "build_modules",
+    "check_names",
     "check_run_output",
     "finish_run",
     "load_run",
@@ -197,6 +198,7 @@ def save_run(run: Run, folder: Path, *, overwrite: bool = False) -> None:
     WorkError
         If it cannot be written; what was there before is then unchanged.
     """
+    check_names(run.settings)
     check_run_output(folder, overwrite=overwrite)
     folder = real_folder(folder)
     try:
@@ -211,6 +213,22 @@ def save_run(run: Run, folder: Path, *, overwrite: bool = False) -> None:
         raise WorkError(f"{folder}: could not be written ({error.strerror or error}).") from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def check_names(settings: FitSettings) -> None:
+    """Refuse to store a model or guide that no other process could find again.
+
+    Raises
+    ------
+    InputError
+        If one is a lambda, or is defined inside a function.
+    """
+    for what, name in (("model", settings.model), ("guide", settings.guide)):
+        if "<" in name:
+            raise InputError(
+                f"{what}: a run folder stores its name, and {name.partition(':')[2]} cannot be "
+                "imported by that. Define it at the top of a module, or write no run folder."
+            )
 
 
 def check_run_output(folder: Path, *, overwrite: bool) -> None:

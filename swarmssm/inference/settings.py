@@ -34,7 +34,7 @@ class FitSettings(pydantic.BaseModel):
     Attributes
     ----------
     model, guide
-        Registered name or ``module:attribute``. The guide ``"auto"`` is the model's usual one.
+        Registered name or ``module:attribute``. The guide ``"auto"`` is the model's default.
     model_options, guide_options
         Named arguments of their constructors: values that JSON can hold.
     priors
@@ -98,7 +98,7 @@ class FitSettings(pydantic.BaseModel):
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True, protected_namespaces=())
 
-    model: str = "graph-vae"
+    model: str = "boids"
     model_options: Options = {}
     guide: str = "auto"
     guide_options: Options = {}

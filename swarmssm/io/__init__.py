@@ -6,6 +6,7 @@ gives back number for number. A mistake in a file is one sentence of
 """
 
 from swarmssm.io.arrays import read_arrays
+from swarmssm.io.conversion import Recordings, as_tracks
 from swarmssm.io.detection import detect_format
 from swarmssm.io.groups import read_groups, write_groups
 from swarmssm.io.idtracker import read_idtracker
@@ -19,6 +20,8 @@ from swarmssm.io.trex_csv import read_trex_csv
 
 __all__ = [
     "FORMATS",
+    "Recordings",
+    "as_tracks",
     "detect_format",
     "read",
     "read_arrays",

@@ -1,18 +1,20 @@
 """Tables in parquet files, under the same face as those in text files."""
 
 from collections.abc import Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 import pyarrow
 import pyarrow.parquet
 
 from swarmssm.errors import InputError
 from swarmssm.io.opening import check_claim, reading, shorten
 
-__all__ = ["PARQUET_MAGIC", "ParquetTable"]
+__all__ = ["PARQUET_MAGIC", "ParquetTable", "table_of_frame"]
 
 PARQUET_MAGIC = b"PAR1"
 
@@ -24,6 +26,8 @@ class ParquetTable:
     ----------
     path
         The file.
+    content
+        What is in it, if it is in memory; ``path`` is then its name in errors.
 
     Raises
     ------
@@ -31,14 +35,15 @@ class ParquetTable:
         If it cannot be read or is not a whole parquet file.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, content: BytesIO | None = None) -> None:
         self.path = path
         with reading(path, "parquet file"):
-            self._file = pyarrow.parquet.ParquetFile(path, memory_map=False)
+            self._file = pyarrow.parquet.ParquetFile(content or path, memory_map=False)
             self.names = [str(name) for name in self._file.schema_arrow.names]
             self.metadata: dict[bytes, bytes] = dict(self._file.schema_arrow.metadata or {})
             rows = int(self._file.metadata.num_rows)
-        check_claim(path, "of each column", (rows,), 8)
+        if content is None:
+            check_claim(path, "of each column", (rows,), 8)
 
     def is_numeric(self, column: int) -> bool:
         """Return whether a column holds numbers or moments."""
@@ -90,6 +95,26 @@ class ParquetTable:
     def place(self, row: int) -> str:
         """Name a row by its number."""
         return f"row {row}"
+
+
+def table_of_frame(frame: pd.DataFrame) -> ParquetTable:
+    """Return a DataFrame as a table; its index, where it has names, as columns too.
+
+    Raises
+    ------
+    InputError
+        If a column holds things of several kinds.
+    """
+    named = [name for name in frame.index.names if name is not None]
+    flat = frame.reset_index(named) if named else frame
+    content = BytesIO()
+    try:
+        flat = flat.rename(columns=str)
+        pyarrow.parquet.write_table(pyarrow.Table.from_pandas(flat, preserve_index=False), content)
+    except (pyarrow.ArrowException, ValueError, TypeError) as error:
+        reason = " ".join(str(part) for part in error.args)
+        raise InputError(f"DataFrame: a column cannot be read ({reason}).") from error
+    return ParquetTable(Path("DataFrame"), content)
 
 
 def _text(value: object) -> str:

@@ -32,7 +32,7 @@ def boids() -> xr.Dataset:
 def quick_fit(boids: xr.Dataset) -> Fit:
     """A fit of four epochs: what it predicts is poor, and fixed."""
     torch.set_num_threads(1)
-    return inference.fit("graph-vae", "encoder", boids, epochs=4, seed=0)
+    return inference.fit("graph-vae", boids, guide="encoder", epochs=4, seed=0)
 
 
 @pytest.fixture

@@ -149,7 +149,7 @@ def test_what_cannot_be_had_is_left_out_with_a_note():
         {"position": xr.concat([space["position"], third], "space")},
         attrs={key: space.attrs[key] for key in ("fps", "time_unit", "unit")},
     ).drop_vars("neighbor", errors="ignore")
-    fit = inference.fit("graph-vae", "encoder", tracks, epochs=2)
+    fit = inference.fit("graph-vae", tracks, guide="encoder", epochs=2)
     found = analyze(fit, tracks, draws=1, only=["forces", "force_maps"])
     assert found.force_maps is None
     assert found.forces is not None
@@ -227,7 +227,7 @@ def test_an_empty_analysis_makes_no_page(quick_fit, boids):
 
 
 def test_scores_stand_beside_those_of_rivals(quick_fit, boids, tmp_path):
-    other = inference.fit("graph-vae", "encoder", boids, epochs=1, seed=1)
+    other = inference.fit("graph-vae", boids, guide="encoder", epochs=1, seed=1)
     found = analyze(
         quick_fit,
         boids,

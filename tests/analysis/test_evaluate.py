@@ -179,7 +179,7 @@ def test_evaluating_again_gives_the_same_and_another_seed_only_moves_the_draws(
 
 
 def test_scores_do_not_depend_on_the_scaler_of_the_fit(boids, evaluation):
-    fit = inference.fit(tracks=boids, epochs=1, scaler="isotropic")
+    fit = inference.fit("graph-vae", boids, epochs=1, scaler="isotropic")
     found = evaluate(fit, boids, horizons=(1,), free_run_steps=2, draws=1)
     assert found.score("mse", STAY) == pytest.approx(evaluation.score("mse", STAY))
     assert any("the training part" in note for note in found.notes)
@@ -215,7 +215,7 @@ def test_parts_are_those_of_the_fit(quick_fit, boids):
 
 
 def test_without_a_test_part_the_validation_part_is_scored(boids):
-    fit = inference.fit(tracks=boids, epochs=1, fractions=(0.5, 0.5, 0.0))
+    fit = inference.fit("graph-vae", boids, epochs=1, fractions=(0.5, 0.5, 0.0))
     found = evaluate(fit, boids, **FEW)
     assert found.settings["part"] == "validation"
     assert any("no test part" in note for note in found.notes)
@@ -271,7 +271,7 @@ def test_noisy_positions_have_a_noise_floor_too():
     tracks = simulate.simulate_boids(
         individuals=4, steps=80, trials=3, seed=3, observation_noise=0.01
     )
-    fit = inference.fit(tracks=tracks, epochs=1)
+    fit = inference.fit("graph-vae", tracks, epochs=1)
     found = evaluate(fit, tracks, **FEW)
     part = fit.part(tracks, "test")
     order = ("trial", "time", "individual", "space")
@@ -288,7 +288,7 @@ def test_noisy_positions_have_a_noise_floor_too():
 
 def test_the_bundled_fish_are_scored():
     tracks = datasets.load_sunbleak(6)
-    fit = inference.fit(tracks=tracks, epochs=2)
+    fit = inference.fit("graph-vae", tracks, epochs=2)
     found = evaluate(fit, tracks, **FEW)
     assert found.settings["unit"] == tracks.attrs["unit"]
     assert found.scores["method"].values.tolist() == [MODEL, STAY, STRAIGHT]
@@ -298,7 +298,7 @@ def test_the_bundled_fish_are_scored():
 
 def test_one_individual_has_neither_cohesion_nor_edges():
     tracks = simulate.simulate_boids(individuals=1, steps=40, trials=3, seed=0)
-    fit = inference.fit(tracks=tracks, epochs=1)
+    fit = inference.fit("graph-vae", tracks, epochs=1)
     found = evaluate(fit, tracks, **FEW)
     assert found.score("mae", STAY) == pytest.approx(1.0)
     assert np.isnan(found.score("amd_mean", MODEL))
@@ -308,7 +308,7 @@ def test_one_individual_has_neither_cohesion_nor_edges():
 
 def test_three_dimensions_are_scored():
     tracks = simulate.simulate_boids(individuals=4, steps=40, trials=3, seed=0, space=3)
-    fit = inference.fit(tracks=tracks, epochs=1)
+    fit = inference.fit("graph-vae", tracks, epochs=1)
     found = evaluate(fit, tracks, **FEW)
     assert found.score("mae", STAY) == pytest.approx(1.0)
     assert found.imitation.sizes["space"] == 3
@@ -379,7 +379,9 @@ def test_origins_are_spread_over_each_trial_and_leave_a_step():
 def test_a_part_is_taken_without_its_neighbours(quick_fit, boids):
     """Differences at the start of a part would otherwise reach into the part before."""
     position = boids[["position"]].isel(trial=0, drop=True)
-    fit = inference.fit(tracks=position.assign_attrs(boids.attrs), epochs=1, graph="radius:2.5")
+    fit = inference.fit(
+        "graph-vae", position.assign_attrs(boids.attrs), epochs=1, graph="radius:2.5"
+    )
     found = evaluate(fit, position.assign_attrs(boids.attrs), **FEW)
     segment = fit.split.test[0]
     part = take(position.assign_attrs(boids.attrs), [segment])

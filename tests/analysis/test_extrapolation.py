@@ -16,7 +16,9 @@ def square():
     path = np.cumsum(rng.normal(0.0, 0.3, (200, 2, 2)), axis=0)
     path = 10.0 * (path - path.min((0, 1))) / np.ptp(path, axis=(0, 1))
     tracks = make_tracks(path, fps=10.0, individuals=["ann", "bob"], unit="cm")
-    return tracks, inference.fit("graph-vae", "encoder", tracks, epochs=1, fractions=(1, 0, 0))
+    return tracks, inference.fit(
+        "graph-vae", tracks, guide="encoder", epochs=1, fractions=(1, 0, 0)
+    )
 
 
 def moved(tracks, individual, **by):
@@ -68,7 +70,7 @@ def test_walls_are_named_where_they_were_learned(square):
         options = {"limits": False, "walls": walls}
         how = {"model_options": options, "fractions": (1, 0, 0), "steps": 2}
         how["guide_options"] = {"globals": "multivariate"}
-        fit = inference.fit("boids", "linearized", few, **how)
+        fit = inference.fit("boids", few, guide="linearized", **how)
         assert ("walls=false" in beyond_training(fit, away).note) is walls
 
 

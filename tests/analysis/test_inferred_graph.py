@@ -22,7 +22,6 @@ def flock():
 def fit(request, flock):
     return inference.fit(
         "linear",
-        "auto",
         flock,
         model_options={"observed": "states"},
         edges=request.param,

@@ -19,7 +19,7 @@ ORIGIN, STEPS = 25, 6
 @pytest.fixture(scope="module", params=["difference", "kalman", "auto"])
 def fit(request):
     tracks = simulate.simulate_boids(individuals=4, steps=45, trials=3, seed=1)
-    return inference.fit(tracks=tracks, epochs=1, velocity=request.param, graph="radius:2.5")
+    return inference.fit("graph-vae", tracks, epochs=1, velocity=request.param, graph="radius:2.5")
 
 
 def scored_tracks(shift=0.0):

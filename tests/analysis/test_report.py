@@ -167,7 +167,7 @@ def test_it_has_the_log_scores_and_the_posterior_of_named_parameters(
     )
     monkeypatch.setattr(sections, "_pictures", lambda anchor, evaluation: [])
     monkeypatch.setattr(Fit, "parameter_table", lambda fit: gains)
-    fit = inference.fit("graph-vae", "encoder", boids, epochs=1, seed=0)
+    fit = inference.fit("graph-vae", boids, guide="encoder", epochs=1, seed=0)
     words = Page(build_report([section_of("Run", fit, boids, evaluation)])).words()
     assert "Prior and posterior of the named parameters, with" in words
     assert "cohesion_gain" in words
@@ -323,13 +323,13 @@ def whole(boids, tmp_path_factory):
     simple = {"limits": False, "walls": False}
     fit = inference.fit(
         "boids",
-        "linearized",
         boids,
+        guide="linearized",
         model_options=simple,
         steps=5,
         guide_options={"globals": "multivariate"},
     )
-    rival = inference.fit("graph-vae", "encoder", boids, epochs=1)
+    rival = inference.fit("graph-vae", boids, guide="encoder", epochs=1)
     told = []
     path = tmp_path_factory.mktemp("whole") / "whole.html"
     with pytest.MonkeyPatch.context() as patch:

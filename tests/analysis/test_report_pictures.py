@@ -63,7 +63,7 @@ def swarm():
 
 
 def test_a_state_space_model_is_drawn_with_its_priors(swarm):
-    fit = inference.fit("boids", "markov", swarm, steps=1, model_options={"limits": False})
+    fit = inference.fit("boids", swarm, guide="markov", steps=1, model_options={"limits": False})
     _, ax = plot_model(fit)
     assert len(drawn(ax, Circle)) == 6
     # Three emissions, two transitions, two graphs, two from the transition's box, one from noise.
@@ -76,14 +76,14 @@ def test_a_state_space_model_is_drawn_with_its_priors(swarm):
 
 
 def test_without_priors_there_are_no_boxes(swarm):
-    fit = inference.fit("graph-ssm", "auto", swarm, steps=1)
+    fit = inference.fit("graph-ssm", swarm, steps=1)
     _, ax = plot_model(fit)
     assert len(drawn(ax, FancyArrowPatch)) == 7
     assert "transition" not in words(ax)
 
 
 def test_a_one_step_model_has_one_latent(swarm):
-    fit = inference.fit("graph-vae", "encoder", swarm, epochs=1)
+    fit = inference.fit("graph-vae", swarm, guide="encoder", epochs=1)
     _, ax = plot_model(fit)
     faces = [circle.get_facecolor()[3] > 0 for circle in drawn(ax, Circle)]
     assert faces == [True, False, True]
@@ -92,7 +92,7 @@ def test_a_one_step_model_has_one_latent(swarm):
 
 
 def test_a_picture_of_its_own_is_no_larger_than_what_is_drawn(swarm):
-    fit = inference.fit("graph-vae", "encoder", swarm, epochs=1)
+    fit = inference.fit("graph-vae", swarm, guide="encoder", epochs=1)
     figure, ax = plot_model(fit)
     width, height = figure.get_size_inches()
     across, up = np.ptp(ax.get_xlim()), np.ptp(ax.get_ylim())

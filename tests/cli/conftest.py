@@ -58,5 +58,5 @@ def run_folder(flock_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
 
     folder = tmp_path_factory.mktemp("runs") / "run"
     tracks = io.read(flock_file)
-    inference.fit("graph-vae", "encoder", tracks, source=flock_file, out=folder, epochs=3)
+    inference.fit("graph-vae", tracks, guide="encoder", source=flock_file, out=folder, epochs=3)
     return folder

@@ -12,7 +12,9 @@ def rival_folder(flock_file, tmp_path_factory):
     """A run of one epoch on the same file."""
     folder = tmp_path_factory.mktemp("runs") / "rival"
     tracks = io.read(flock_file)
-    inference.fit("graph-vae", "encoder", tracks, source=flock_file, out=folder, epochs=1, seed=1)
+    inference.fit(
+        "graph-vae", tracks, guide="encoder", source=flock_file, out=folder, epochs=1, seed=1
+    )
     return folder
 
 

@@ -38,7 +38,7 @@ LESS = {
     "another-prior": {
         "steps=120": "steps=30",
         "--steps 120": "--steps 30",
-        '"linearized", tracks': f'"linearized", tracks, {BRIEF}',
+        'guide="linearized")': f'guide="linearized", {BRIEF})',
         "--guide linearized": f"--guide linearized {SHORT}",
         "--model boids": f"--model boids {SHORT}",
     },
@@ -59,7 +59,7 @@ LESS = {
     },
     "checking-a-fitted-swarm": {
         "load_sunbleak(6)": "load_sunbleak(4).isel(time=slice(0, 60))",
-        '"linearized", fish': f'"linearized", fish, {BRIEF}',
+        'guide="linearized"': f'guide="linearized", {BRIEF}',
         "--draws 100": "--draws 10",
         "draws=40": "draws=10",
         "--draws 40": "--draws 10",

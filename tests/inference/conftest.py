@@ -14,7 +14,13 @@ from swarmssm.simulate import simulate_boids
 from swarmssm.tracks import make_tracks
 
 #: Enough for a test of what stays the same, whatever was learned.
-BRIEF: dict[str, Any] = {"epochs": 3, "window": 20, "batch_windows": 4, "seed": 3}
+BRIEF: dict[str, Any] = {
+    "model": "graph-vae",
+    "epochs": 3,
+    "window": 20,
+    "batch_windows": 4,
+    "seed": 3,
+}
 
 
 @pytest.fixture(scope="session")

@@ -288,10 +288,14 @@ def test_paths_whose_positions_do_not_follow_are_refused():
     )
 
 
+def samples_nothing(model):
+    return Sites(lambda batch: None)
+
+
 def test_a_fit_is_refused_before_anything_is_written(swarm, brief, tmp_path):
     settings = {**brief, "out": tmp_path / "run"}
     with pytest.raises(InputError, match="guide: it does not sample 'states'"):
-        fit(guide=lambda model: Sites(lambda batch: None), tracks=swarm, **settings)
+        fit(guide=samples_nothing, tracks=swarm, **settings)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -39,7 +39,8 @@ def circles():
 @pytest.fixture(scope="module")
 def circling(circles):
     return fit(
-        tracks=circles,
+        "graph-vae",
+        circles,
         epochs=200,
         window=None,
         batch_windows=None,
@@ -103,7 +104,8 @@ def test_noise_is_recovered():
     drawn = np.random.default_rng(0).normal(size=(n + 1, 1, 4)) * deviations + [1, 0, -1, 0]
     tracks = make_tracks(drawn[..., :2], velocity=drawn[..., 2:], fps=1.0)
     learned = fit(
-        tracks=tracks,
+        "graph-vae",
+        tracks,
         steps=200,
         window=None,
         batch_windows=None,
@@ -143,7 +145,7 @@ def hasty():
 
 
 def test_the_best_weights_are_kept(swarm, hasty):
-    fitted = fit(tracks=swarm, epochs=4, **hasty)
+    fitted = fit("graph-vae", swarm, epochs=4, **hasty)
     losses = fitted.history["validation_loss"]
     best = losses.min()
     assert best < losses.iloc[-1]
@@ -155,7 +157,7 @@ def test_the_best_weights_are_kept(swarm, hasty):
 @pytest.mark.parametrize("patience", [1, 3])
 def test_without_progress_it_stops(swarm, hasty, patience):
     told = []
-    fitted = fit(tracks=swarm, epochs=60, patience=patience, **hasty, callbacks=[told.append])
+    fitted = fit("graph-vae", swarm, epochs=60, patience=patience, **hasty, callbacks=[told.append])
     losses = fitted.history["validation_loss"]
     assert len(losses) == len(told) < 60
     assert losses.idxmin() == len(losses) - 1 - patience
@@ -163,7 +165,7 @@ def test_without_progress_it_stops(swarm, hasty, patience):
     since_best = [i - losses[: i + 1].idxmin() for i in range(len(losses))]
     assert max(since_best[:-1]) < patience
     # Without a validation part there is nothing to be patient with.
-    blind = fit(tracks=swarm, epochs=4, patience=1, fractions=(1, 0, 0), **hasty)
+    blind = fit("graph-vae", swarm, epochs=4, patience=1, fractions=(1, 0, 0), **hasty)
     assert len(blind.history) == 4
 
 

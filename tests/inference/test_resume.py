@@ -20,7 +20,14 @@ from swarmssm.io import read, write
 from swarmssm.models import MODELS, GraphVAE
 from swarmssm.models.registry import Entry
 
-SETTINGS = {"epochs": 12, "window": 20, "batch_windows": 4, "seed": 3, "checkpoint_every": 4}
+SETTINGS = {
+    "model": "graph-vae",
+    "epochs": 12,
+    "window": 20,
+    "batch_windows": 4,
+    "seed": 3,
+    "checkpoint_every": 4,
+}
 
 #: Fit as told, say when an epoch is over, and hang in one epoch or in writing one checkpoint.
 CHILD = """

@@ -54,13 +54,13 @@ def test_a_wrong_setting_is_named(swarm, values, sentence):
     with pytest.raises(InputError, match=r"^fast\.toml: "):
         settings_from(values, "fast.toml")
     with pytest.raises((InputError, TypeError), match=sentence.split(":")[0]):
-        fit(tracks=swarm, **values)
+        fit(**{"model": "graph-vae", "tracks": swarm, **values})
 
 
 def test_a_device_that_is_not_there_is_named(swarm):
     for name in ("gpu", "meta", "cuda:99", ""):
-        with pytest.raises(InputError, match=r"device: .* is not to be had here; choose cpu"):
-            fit(tracks=swarm, device=name)
+        with pytest.raises(InputError, match=r"device: .* is not available; choose cpu"):
+            fit("graph-vae", swarm, device=name)
 
 
 def test_options_come_back_as_json_has_them():

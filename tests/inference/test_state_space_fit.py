@@ -68,7 +68,7 @@ def tracks():
 
 @pytest.fixture(scope="module", params=GUIDES)
 def fitted(request, tracks):
-    return fit(pulled, request.param, tracks, epochs=3, fractions=(1, 0, 0), seed=1)
+    return fit(pulled, tracks, guide=request.param, epochs=3, fractions=(1, 0, 0), seed=1)
 
 
 def scrambled_after(tracks, frames):

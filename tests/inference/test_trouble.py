@@ -62,7 +62,12 @@ def test_the_step_is_named_and_the_last_good_checkpoint_kept(
     failing(6, term)
     told = []
     with pytest.raises(WorkError, match=f"training: {what} {STEP_6}") as caught:
-        fit("failing", tracks=swarm, out=tmp_path / "run", callbacks=[told.append], **settings)
+        fit(
+            tracks=swarm,
+            out=tmp_path / "run",
+            callbacks=[told.append],
+            **{**settings, "model": "failing"},
+        )
     assert len(str(caught.value).splitlines()) == 1
     assert [progress.epoch for progress in told] == [1, 2]
     kept = read_checkpoint(tmp_path / "run" / "checkpoint")
@@ -79,7 +84,7 @@ def test_the_step_is_named_and_the_last_good_checkpoint_kept(
 def test_the_first_step_may_fail_too(swarm, settings, failing, tmp_path):
     failing(1, lambda model: torch.tensor(float("nan")))
     with pytest.raises(WorkError, match=r"not a number at step 1 \(epoch 1\)"):
-        fit("failing", tracks=swarm, out=tmp_path / "run", **settings)
+        fit(tracks=swarm, out=tmp_path / "run", **{**settings, "model": "failing"})
     assert os.listdir(tmp_path) == []  # there is nothing to go on from
 
 
@@ -87,7 +92,7 @@ def test_a_failure_of_the_last_step_is_noticed(swarm, settings, failing, monkeyp
     """Its loss is fine, and the weights it leaves are not; no later loss would tell."""
     failing(12, lambda model: (0 * model.decoder[0].bias).abs().sum().sqrt())
     with pytest.raises(WorkError, match=r"gradient is not finite at step 12 \(epoch 6\)"):
-        fit("failing", tracks=swarm, **settings)
+        fit(tracks=swarm, **{**settings, "model": "failing"})
 
     class Brim(GraphVAE):
         """Has a weight that one more step carries out of the range of float32."""
@@ -103,7 +108,7 @@ def test_a_failure_of_the_last_step_is_noticed(swarm, settings, failing, monkeyp
     monkeypatch.setitem(MODELS, "brim", Entry(Brim, "", ""))
     single = {"epochs": 1, "batch_windows": None, "clip": None, "lr": 1e38}
     with pytest.raises(WorkError, match=r"a weight is no longer finite at step 1 \(epoch 1\)"):
-        fit("brim", tracks=swarm, **{**settings, **single})
+        fit(tracks=swarm, **{**settings, **single, "model": "brim"})
 
 
 def test_a_learning_rate_beyond_all_bounds(swarm, settings, tmp_path):
@@ -115,7 +120,7 @@ def test_a_failed_successor_leaves_the_old_run(swarm, settings, failing, fitted,
     fitted.save(tmp_path / "run")
     failing(1, lambda model: torch.tensor(float("nan")))
     with pytest.raises(WorkError):
-        fit("failing", tracks=swarm, out=tmp_path / "run", overwrite=True, **settings)
+        fit(tracks=swarm, out=tmp_path / "run", overwrite=True, **{**settings, "model": "failing"})
     assert os.listdir(tmp_path) == ["run"]
     assert Fit.load(tmp_path / "run").settings == fitted.settings
 

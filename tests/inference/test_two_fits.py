@@ -26,8 +26,8 @@ def tracks():
 def test_a_second_posterior_is_not_as_wide_as_the_first(tracks):
     first = fit(
         "boids",
-        "linearized",
         tracks,
+        guide="linearized",
         window=30,
         steps=1,
         guide_options={"globals": "normal"},
@@ -55,7 +55,7 @@ def test_a_second_posterior_is_not_as_wide_as_the_first(tracks):
 def test_a_second_network_is_not_the_first(tracks):
     """Predictions, posteriors and free runs by its own weights, and none left in the store."""
     options = {"model_options": {"width": 8}, "window": 10, "steps": 1, "seed": 0}
-    first = fit("graph-ssm", "markov", tracks, **options)
+    first = fit("graph-ssm", tracks, guide="markov", **options)
     second = copy.deepcopy(first)
     with torch.no_grad():
         for weight in (*second.model.parameters(), *second.guide.parameters()):

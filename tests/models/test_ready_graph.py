@@ -198,5 +198,5 @@ def test_training_sees_images(monkeypatch):
     monkeypatch.setattr(GraphTransition, "augmented", augmented)
     tracks = simulate_boids(individuals=3, steps=60, seed=1)
     options = {"observed": "states", "width": 4, "symmetries": "circle"}
-    fit("graph-ssm", "parameters", tracks, steps=3, window=5, model_options=options)
+    fit("graph-ssm", tracks, guide="parameters", steps=3, window=5, model_options=options)
     assert len(seen) == 3

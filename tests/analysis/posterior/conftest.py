@@ -72,8 +72,8 @@ def springs_fit(ten_trials: xr.Dataset) -> Fit:
     torch.set_num_threads(1)
     return fit(
         two_unknown,
-        "linearized",
         ten_trials,
+        guide="linearized",
         guide_options={"given": 0},
         window=None,
         fractions=(1.0, 0.0, 0.0),

@@ -72,12 +72,12 @@ def exact_fit(ten_trials):
     """States observed exactly, the velocities being differences."""
     return fit(
         "linear",
-        "parameters",
         make_tracks(
             ten_trials["position"].transpose("trial", "time", "individual", "space").to_numpy(),
             fps=5.0,
             adjacency=ten_trials["adjacency"].to_numpy(),
         ),
+        guide="parameters",
         model_options={"observed": "states"},
         epochs=2,
         seed=0,

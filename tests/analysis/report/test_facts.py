@@ -17,5 +17,5 @@ from swarmssm.analysis.report.facts import model_facts
 def test_how_the_states_are_seen(model, options, told):
     tracks = simulate.simulate_boids(3, 12, 3, seed=0)
     guide = "auto" if options or model == "graph-vae" else "markov"
-    fit = inference.fit(model, guide, tracks, model_options=options, steps=1, window=4)
+    fit = inference.fit(model, tracks, guide=guide, model_options=options, steps=1, window=4)
     assert dict(model_facts(fit)).get("observations") == told

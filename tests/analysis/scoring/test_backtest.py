@@ -110,7 +110,9 @@ def test_the_true_rule_is_best_and_its_intervals_hold(scores):
 
 def test_fits_that_differ_in_scaler_and_velocity_meet_on_the_same_frames(boids, quick_fit):
     """One who smooths velocities from the past has none in the first frame."""
-    other = inference.fit(tracks=boids, epochs=1, seed=1, scaler="isotropic", velocity="kalman")
+    other = inference.fit(
+        "graph-vae", boids, epochs=1, seed=1, scaler="isotropic", velocity="kalman"
+    )
     both = backtest({"one": quick_fit, "two": other, "again": quick_fit}, boids, **FEW)
     assert both["frame"].values.min() == 1
     assert both.sizes["origin"] == 6

@@ -86,8 +86,8 @@ class _Calibrate:
         try:
             fitted = inference.fit(
                 self.data.model,
-                self.guide,
                 tracks,
+                guide=self.guide,
                 **{"seed": second, "fractions": (1.0, 0.0, 0.0), "window": None, **self.settings},
             )
         except WorkError as error:

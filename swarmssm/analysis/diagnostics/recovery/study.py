@@ -83,8 +83,8 @@ class _Recover:
         try:
             fitted = inference.fit(
                 self.model,
-                self.guide,
                 tracks,
+                guide=self.guide,
                 **{"seed": second, "fractions": (1.0, 0.0, 0.0), **own},
             )
         except WorkError as error:

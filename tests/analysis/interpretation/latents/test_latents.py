@@ -208,8 +208,8 @@ def graph_fit(boids):
     """A graph network, trained for a few seconds on exactly known states."""
     return fit(
         "graph-ssm",
-        "parameters",
         boids,
+        guide="parameters",
         model_options={"observed": "states", "noise": "constant", "tails": "gaussian", "width": 16},
         epochs=30,
         window=20,
@@ -245,7 +245,7 @@ def test_latents_of_a_graph_network(graph_fit, boids):
 
 def test_latents_of_named_forces_are_the_forces(boids):
     few = boids.isel(trial=slice(0, 1), time=slice(0, 10))
-    known = fit(known_law, "linearized", few, graph="radius:2.5", fractions=(1.0, 0.0, 0.0))
+    known = fit(known_law, few, guide="linearized", graph="radius:2.5", fractions=(1.0, 0.0, 0.0))
     tracks = boids.isel(time=slice(0, 40))
     latents = latents_of(known, tracks)
     values = known.guide.parameters_guide.median()
@@ -333,7 +333,7 @@ def test_state_space_models_of_positions_with_gaps(boids, model, guide):
     position[0, :, 2] = np.nan
     tracks = make_tracks(position, fps=10.0)
     few = tracks.isel(trial=slice(1, 3), time=slice(0, 10))
-    run = fit(model, guide, few, steps=2, window=10, fractions=(1.0, 0.0, 0.0), seed=0)
+    run = fit(model, few, guide=guide, steps=2, window=10, fractions=(1.0, 0.0, 0.0), seed=0)
     found = latent_force_alignment(run, tracks, **QUICK)
     assert found.attrs["truth"] == 0
     assert found["source_vector_r2"].notnull().all()

@@ -59,7 +59,7 @@ def fitted(model: Any, tracks: xr.Dataset, **settings: Any) -> Fit:
     """Fit with the paths summed out, every frame counting."""
     torch.set_num_threads(1)
     options = {"guide_options": {"given": 0}, "window": None, "seed": 0}
-    return fit(model, "linearized", tracks, **{**options, **settings})
+    return fit(model, tracks, guide="linearized", **{**options, **settings})
 
 
 @pytest.fixture(scope="session")
