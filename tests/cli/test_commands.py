@@ -103,6 +103,8 @@ def test_fit_writes_a_run_that_holds_its_settings(swarmssm, flock_file, tmp_path
         flock_file,
         "--out",
         "run",
+        "--model",
+        "graph-vae",
         "--steps",
         5,
         "--seed",
@@ -219,7 +221,10 @@ def test_report_finds_its_data_and_refuses_other(swarmssm, run_folder, flock_fil
 
 def test_report_asks_for_data_that_have_gone(swarmssm, run_folder, flock_file, tmp_path):
     shutil.copy(flock_file, tmp_path / "moved.nc")
-    assert swarmssm("fit", "moved.nc", "--out", "run", "--epochs", 2).status == 0
+    assert (
+        swarmssm("fit", "moved.nc", "--model", "graph-vae", "--out", "run", "--epochs", 2).status
+        == 0
+    )
     Path("moved.nc").rename("elsewhere.nc")
     refused = swarmssm("report", "run", "--out", "r.html")
     assert refused.status == 2

@@ -8,7 +8,7 @@ def stop(*arguments, **options):
 def test_a_stopped_fit_goes_on(swarmssm, flock_file, monkeypatch):
     from swarmssm.cli import fitting
 
-    call = ("fit", flock_file, "--out", "run", "--epochs", 2)
+    call = ("fit", flock_file, "--model", "graph-vae", "--out", "run", "--epochs", 2)
     with monkeypatch.context() as by_hand:
         # The first epoch is done when its progress is told.
         by_hand.setattr(fitting, "training_progress", StoppingProgress)

@@ -126,7 +126,8 @@ def test_a_run_that_names_code_is_not_trusted(swarmssm, run_folder, flock_file, 
 
 def test_an_exploding_loss_is_a_failure_that_leaves_no_run(swarmssm, flock_file, tmp_path):
     result = swarmssm(
-        "fit", flock_file, "--out", "run", "--lr", "1e9", "--epochs", 5, "--set", "clip=null"
+        *("fit", flock_file, "--model", "graph-vae", "--out", "run", "--lr", "1e9"),
+        *("--epochs", 5, "--set", "clip=null"),
     )
     assert result.status == 1
     assert "step" in result.err
