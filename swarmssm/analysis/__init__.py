@@ -16,8 +16,6 @@ from swarmssm.analysis.diagnostics.checks import (
 from swarmssm.analysis.diagnostics.checks import sentence as check_sentence
 from swarmssm.analysis.diagnostics.recovery import recovery_study
 from swarmssm.analysis.interpretation.analyze import analyze
-from swarmssm.analysis.interpretation.analyzed import Analysis
-from swarmssm.analysis.interpretation.findings import Summary, findings, findings_table
 from swarmssm.analysis.interpretation.forces import (
     force_agreement,
     force_map,
@@ -35,6 +33,7 @@ from swarmssm.analysis.interpretation.kernels import (
     true_kernels,
 )
 from swarmssm.analysis.interpretation.latents import latent_force_alignment
+from swarmssm.analysis.interpretation.result import Analysis
 from swarmssm.analysis.plots.scenes import free_run, scenes_of, with_free_run
 from swarmssm.analysis.posterior import (
     pointwise_log_likelihood,
@@ -79,7 +78,6 @@ __all__ = [
     "Evaluation",
     "PosteriorPaths",
     "Statistic",
-    "Summary",
     "Swarm",
     "acceleration_model",
     "analysis_page",
@@ -94,8 +92,6 @@ __all__ = [
     "evaluate",
     "find_isolated",
     "find_leader",
-    "findings",
-    "findings_table",
     "force_agreement",
     "force_map",
     "force_maps",

@@ -30,24 +30,30 @@ def analyze(
     file: File,
     out: Annotated[Path, typer.Option(help="NetCDF file to write, a group for each analysis.")],
     report: Annotated[
-        Path | None, typer.Option(help="HTML page to write. Default: beside OUT, ending in .html.")
+        Path | None, typer.Option(help="HTML page to write. Default: as OUT, ending in .html.")
     ] = None,
     draws: Annotated[int, typer.Option(help="Draws of paths from the posterior.")] = 20,
     part: Annotated[
-        str, typer.Option(help="train, validation, test (of the run's own file) or all.")
-    ] = "all",
+        str | None,
+        typer.Option(
+            help="train, validation, test (of the run's own file) or all. Default: frames of the "
+            "run's own file that were held out, all of another file."
+        ),
+    ] = None,
     only: Annotated[
         str | None,
-        typer.Option(help="Some of forces,kernels,force_maps,latents,influence, with commas."),
+        typer.Option(
+            help="Some of forces,kernels,force_maps,latents,influence,delays, with commas."
+        ),
     ] = None,
     against: Against = None,
     scores: Annotated[
         bool,
         typer.Option(
-            "--scores",
-            help="Score held-out forecasts beside stay-put and constant velocity. --against does.",
+            "--scores/--no-scores",
+            help="Score forecasts of held-out frames against simple baselines.",
         ),
-    ] = False,
+    ] = True,
     settings: Annotated[
         list[str] | None,
         typer.Option("--set", help="ANALYSIS.OPTION=VALUE, such as force_maps.bins=21. Repeat."),
@@ -61,7 +67,7 @@ def analyze(
     from swarmssm import inference, io
     from swarmssm.analysis.interpretation.analyze import TITLES
     from swarmssm.analysis.interpretation.analyze import analyze as all_analyses
-    from swarmssm.analysis.interpretation.findings import findings, findings_table
+    from swarmssm.analysis.interpretation.summary import formatted_summary
     from swarmssm.analysis.report.analysis_page import report_analysis
 
     page = out.with_suffix(".html") if report is None else report
@@ -72,7 +78,7 @@ def analyze(
     options = _options(settings or [])
     chosen = None if only is None else [name.strip() for name in only.split(",")]
     fitted = inference.Fit.load(run, trust_code=trust_code)
-    rivals = load_rivals(against, fitted, trust_code)
+    others = load_rivals(against, fitted, trust_code)
     tracks = io.read(file)
     with stages() as show:
         found = all_analyses(
@@ -82,7 +88,8 @@ def analyze(
             part=part,
             seed=seed,
             only=chosen,
-            rivals=rivals if against or scores else None,
+            against=others,
+            scores=scores,
             options=options,
             progress=lambda name: show(f"analysing {TITLES[name]}"),
         )
@@ -93,14 +100,15 @@ def analyze(
     if format is TableFormat.json:
         print_json(
             {
+                "verdict": found.verdict(),
                 "settings": found.settings,
-                "findings": [one.to_dict() for one in findings(found)],
-                "sentences": found.sentences,
+                "summary": found.summary().reset_index().to_dict("records"),
                 "notes": list(found.notes),
             }
         )
         return
-    print_rows(f"{run} on {file}", findings_table(found))
+    say(found.verdict())
+    print_rows(f"{run} on {file}", formatted_summary(found.datasets))
     for note in found.notes:
         say(note)
     say(f"{out}: written. {page}: written; open it in a browser.")

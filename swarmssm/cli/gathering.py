@@ -32,7 +32,7 @@ def gather(
     overwrite: Overwrite = False,
 ) -> None:
     """Put analyses of several sets on one page: rules, force maps, held-out scores side by side."""
-    from swarmssm.analysis.interpretation.analyzed import Analysis
+    from swarmssm.analysis.interpretation.result import Analysis
     from swarmssm.analysis.report.gathered_page import report_gathered
 
     check_output(out, overwrite=overwrite)

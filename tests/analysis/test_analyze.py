@@ -11,9 +11,9 @@ import xarray as xr
 
 from swarmssm import inference, io, simulate
 from swarmssm.analysis.interpretation.analyze import analyze
-from swarmssm.analysis.interpretation.analyzed import ANALYSES, Analysis
-from swarmssm.analysis.interpretation.findings import findings, findings_table
 from swarmssm.analysis.interpretation.forces.posterior import posterior_forces
+from swarmssm.analysis.interpretation.result import ANALYSES, Analysis
+from swarmssm.analysis.interpretation.summary import findings, findings_table
 from swarmssm.analysis.report.analysis_page import analysis_page, report_analysis
 from swarmssm.analysis.scoring.backtest import backtest
 from swarmssm.errors import InputError

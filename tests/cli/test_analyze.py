@@ -5,7 +5,7 @@ import json
 import pytest
 import xarray as xr
 
-from swarmssm.analysis.interpretation.analyzed import Analysis
+from swarmssm.analysis.interpretation.result import Analysis
 
 QUICK = ("--draws", 2, "--only", "forces,kernels,influence")
 

@@ -1,4 +1,4 @@
-"""Ask a fitted model all that this folder can ask it, of the same tracks."""
+"""Ask a fitted model all that this folder can ask, of the same tracks."""
 
 import contextlib
 import inspect
@@ -11,28 +11,22 @@ import numpy as np
 import xarray as xr
 
 import swarmssm
-from swarmssm.analysis.interpretation.analyzed import ANALYSES, Analysis
 from swarmssm.analysis.interpretation.extrapolation import beyond_training
 from swarmssm.analysis.interpretation.forces.maps import force_maps
-from swarmssm.analysis.interpretation.forces.maps import sentence as maps_sentence
 from swarmssm.analysis.interpretation.forces.posterior import TERMS, force_summary, posterior_forces
-from swarmssm.analysis.interpretation.forces.posterior import sentence as forces_sentence
 from swarmssm.analysis.interpretation.forces.truth import force_agreement, true_forces
 from swarmssm.analysis.interpretation.inferred_edges import inferred_edges
-from swarmssm.analysis.interpretation.inferred_edges import sentence as edges_sentence
 from swarmssm.analysis.interpretation.inferred_graph import has_inferred_edges
+from swarmssm.analysis.interpretation.influence.delays import leadership_delays
 from swarmssm.analysis.interpretation.influence.leaders import find_isolated, find_leader
 from swarmssm.analysis.interpretation.influence.posterior import influence
-from swarmssm.analysis.interpretation.influence.posterior import sentence as influence_sentence
 from swarmssm.analysis.interpretation.kernels.posterior import interaction_kernels
-from swarmssm.analysis.interpretation.kernels.posterior import sentence as kernels_sentence
 from swarmssm.analysis.interpretation.kernels.truth import kernel_agreement, true_kernels
 from swarmssm.analysis.interpretation.latents.alignment import latent_force_alignment
-from swarmssm.analysis.interpretation.latents.alignment import sentence as latents_sentence
+from swarmssm.analysis.interpretation.result import ANALYSES, Analysis
 from swarmssm.analysis.posterior.accelerations import PosteriorPaths, posterior_paths
 from swarmssm.analysis.scoring.backtest import backtest
-from swarmssm.analysis.scoring.sentence import sentence as scores_sentence
-from swarmssm.analysis.scoring.subject import same_tracks
+from swarmssm.analysis.scoring.subject import default_part, same_tracks
 from swarmssm.errors import InputError, SwarmssmError
 from swarmssm.inference import Fit
 from swarmssm.tracks import validate_tracks, with_trials
@@ -45,14 +39,15 @@ LARGEST = 200_000_000
 #: Draws of the parameters' kernels for each draw of a path.
 KERNELS_A_PATH = 10
 TITLES = {
-    "paths": "what the states were",
+    "paths": "states",
     "forces": "forces",
     "kernels": "kernels of distance",
     "force_maps": "force maps",
     "latents": "latents against forces",
     "influence": "influence",
+    "delays": "delays of turning",
     "edges": "inferred edges",
-    "scores": "held-out scores",
+    "scores": "forecast scores",
     "parameters": "parameters",
 }
 #: What answers each question.
@@ -62,16 +57,8 @@ FUNCTIONS: dict[str, Callable[..., xr.Dataset]] = {
     "force_maps": force_maps,
     "latents": latent_force_alignment,
     "influence": influence,
+    "delays": leadership_delays,
     "scores": backtest,
-}
-SENTENCES: dict[str, Callable[[xr.Dataset], str]] = {
-    "forces": forces_sentence,
-    "kernels": kernels_sentence,
-    "force_maps": maps_sentence,
-    "latents": latents_sentence,
-    "influence": influence_sentence,
-    "edges": edges_sentence,
-    "scores": scores_sentence,
 }
 #: Decided here for all of them; the draws of forecasts are others than those of paths.
 SHARED = {"fit", "fits", "tracks", "draws", "seed", "paths", "progress"}
@@ -83,16 +70,18 @@ def analyze(
     tracks: xr.Dataset,
     *,
     draws: int = 20,
-    part: str = "all",
+    part: str | None = None,
     seed: int = 0,
     only: Sequence[str] | None = None,
-    rivals: Mapping[str, Fit] | None = None,
+    against: Mapping[str, Fit] | None = None,
+    scores: bool = True,
     options: Mapping[str, Mapping[str, Any]] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Analysis:
     """Say which forces act, by which rule, what the latents carry, and who moves whom.
 
-    What cannot be had of this model or of these tracks is left out, and a note says why.
+    An analysis that is not available for this model or these tracks is left out, and a note says
+    why.
 
     Parameters
     ----------
@@ -105,17 +94,19 @@ def analyze(
         many.
     part
         ``"all"`` frames, or the ``"train"``, ``"validation"`` or ``"test"`` part of the tracks that
-        the model was fitted on.
+        the model was fitted on. Absent: the frames of these that were held out (the test part,
+        else the validation part, else all, with a note), and all of any others.
     seed
         Of all draws.
     only
-        Which analyses, of :data:`swarmssm.analysis.interpretation.analyzed.ANALYSES`; absent, all.
-    rivals
-        Other fits, by name: the held-out scores of all of them are added, see
-        :func:`swarmssm.analysis.scoring.backtest`. Empty: beside the simple rivals alone; absent:
-        nothing is scored.
+        Which analyses, of :data:`swarmssm.analysis.interpretation.result.ANALYSES`; absent, all.
+    against
+        Other fits, by name, whose forecasts are scored too.
+    scores
+        Whether forecasts of held-out frames are scored against simple baselines, see
+        :func:`swarmssm.analysis.scoring.backtest`. Without, the forces are not tested.
     options
-        Further arguments of each, such as ``{"force_maps": {"bins": 21}}``; those of the backtest
+        Further arguments of each, such as ``{"force_maps": {"bins": 21}}``; those of the forecasts
         are ``"scores"``.
     progress
         Called before each analysis with its name, and before all with ``"paths"``, when the draws
@@ -124,50 +115,55 @@ def analyze(
     Raises
     ------
     InputError
-        If an argument is out of range or unknown, the tracks do not fit the model, or nothing at
-        all can be said.
+        If an argument is out of range or unknown, the tracks do not fit the model, or no analysis
+        is available.
     """
     chosen = _chosen(only)
     given = _options(options)
-    if rivals is None and "scores" in given:
-        raise InputError("options: scores are made only beside rivals. Name them, or none of them.")
+    if not scores and (against or "scores" in given):
+        raise InputError("scores: it is off, but options or fits of the forecasts are given.")
     if draws < 1:
         raise InputError(f"draws: there must be at least 1, not {draws}.")
     if seed < 0:
         raise InputError(f"seed: it must not be negative, and it is {seed}.")
+    fits = _named(fit, against or {})
     whole = validate_tracks(tracks)
-    tracks, notes = _part(fit, whole, part)
+    part, notes = _part(fit, whole, part)
+    tracks = with_trials(whole) if part == "all" else fit.part(whole, part)
     fit.prepare(tracks)
     notes += [note for note in (beyond_training(fit, tracks).note,) if note]
     show = progress or (lambda name: None)
     paths = None
-    if set(chosen) - {"latents"}:
+    if set(chosen) - {"latents", "delays"}:
         show("paths")
-        # Who cannot say what the states were is told so by each analysis.
+        # A model without paths is refused by each analysis that needs them.
         with contextlib.suppress(SwarmssmError):
             paths = posterior_paths(fit, tracks, draws, seed)
     found: dict[str, xr.Dataset] = {}
     refused: list[SwarmssmError] = []
-    for name in chosen:
+
+    def ask(name: str, question: Callable[[], tuple[xr.Dataset, list[str]]]) -> None:
         show(name)
         try:
-            found[name], more = _ask(name, fit, tracks, paths, draws, seed, given.get(name, {}))
+            found[name], more = question()
         except SwarmssmError as error:
             if str(error).partition(":")[0] in given.get(name, {}):
                 raise
             refused.append(error)
-            notes.append(f"Left out: {TITLES[name]}. {error}")
-            continue
-        notes += more
+            more = [f"Left out: {TITLES[name]}. {error}"]
+        notes.extend(more)
+
+    for name in chosen:
+        ask(
+            name, lambda name=name: _ask(name, fit, tracks, paths, draws, seed, given.get(name, {}))
+        )  # type: ignore[misc]
     if not found:
         raise refused[0]
     if has_inferred_edges(fit.model):
         show("edges")
         found["edges"] = inferred_edges(fit, tracks)
-    if rivals is not None:
-        show("scores")
-        found["scores"] = backtest(_named(fit, rivals), whole, seed=seed, **given.get("scores", {}))
-    sentences = {name: SENTENCES[name](dataset) for name, dataset in found.items()}
+    if scores:
+        ask("scores", lambda: (backtest(fits, whole, seed=seed, **given.get("scores", {})), []))
     table = fit.parameter_table(seed=seed)
     if len(table):
         found["parameters"] = _labelled(table)
@@ -180,17 +176,15 @@ def analyze(
         "options": {name: dict(values) for name, values in given.items()},
         "version": swarmssm.__version__,
     }
-    return Analysis(**found, sentences=sentences, settings=settings, notes=tuple(notes))
+    return Analysis(**found, settings=settings, notes=tuple(notes))
 
 
-def _named(fit: Fit, rivals: Mapping[str, Fit]) -> dict[str, Fit]:
-    """Return all fits by name, that which is asked first."""
+def _named(fit: Fit, against: Mapping[str, Fit]) -> dict[str, Fit]:
+    """Return all fits by name, the analysed one first."""
     name = fit.settings.model
-    if name in rivals:
-        raise InputError(
-            f"rivals: {name!r} is the name of the fit itself. Name the rival otherwise."
-        )
-    return {name: fit, **rivals}
+    if name in against:
+        raise InputError(f"against: {name!r} is the name of the fit itself. Use another name.")
+    return {name: fit, **against}
 
 
 def _chosen(only: Sequence[str] | None) -> tuple[str, ...]:
@@ -220,12 +214,21 @@ def _options(options: Mapping[str, Mapping[str, Any]] | None) -> Mapping[str, Ma
     return options
 
 
-def _part(fit: Fit, tracks: xr.Dataset, part: str) -> tuple[xr.Dataset, list[str]]:
-    """Return the frames to analyse, and what is to be said of them."""
+def _part(fit: Fit, tracks: xr.Dataset, part: str | None) -> tuple[str, list[str]]:
+    """Return the part to analyse, and what a reader has to know of it."""
     own = same_tracks(fit, tracks)
+    if part is None:
+        part = default_part(fit) if own else "all"
+        if own and part != "test":
+            left = "the validation part is analysed" if part == "validation" else "none are left"
+            note = f"No test part was held out of these tracks: {left}."
+            if part == "all":
+                note += " All frames are analysed, those that the model was trained on among them."
+            return part, [note]
+        return part, []
     if part == "all":
-        seen = "The frames include those that the model was trained on."
-        return with_trials(tracks), [seen] if own else []
+        trained = "The frames include those that the model was trained on."
+        return part, [trained] if own else []
     if part not in PARTS:
         raise InputError(f"part: {part!r} is unknown; choose one of {', '.join(PARTS)} or all.")
     if not own:
@@ -233,8 +236,7 @@ def _part(fit: Fit, tracks: xr.Dataset, part: str) -> tuple[xr.Dataset, list[str
             f"part: these are not the tracks that the model was fitted on, and have no {part} "
             "part of its. Analyse all of them."
         )
-    notes = ["These are frames that the model was trained on."] if part == "train" else []
-    return fit.part(tracks, part), notes
+    return part, ["The model was trained on these frames."] if part == "train" else []
 
 
 def _ask(
@@ -250,6 +252,8 @@ def _ask(
     if name == "forces":
         return _forces(fit, tracks, paths or posterior_paths(fit, tracks, draws, seed))
     arguments: dict[str, Any] = {"seed": seed, **options}
+    if name == "delays":
+        return leadership_delays(tracks, **arguments), []
     if name != "latents":
         arguments["draws"] = KERNELS_A_PATH * draws if name == "kernels" else draws
         arguments["paths"] = paths
@@ -262,7 +266,7 @@ def _ask(
 
 
 def _forces(fit: Fit, tracks: xr.Dataset, paths: PosteriorPaths) -> tuple[xr.Dataset, list[str]]:
-    """Draw forces and summarise them, of so many frames that they are no more than LARGEST."""
+    """Draw forces and summarise them; every n-th frame if all would take more than LARGEST."""
     draws, states = paths.draws, paths.states
     frames = states[0, ..., 0].numel()
     a_draw = frames * 4 * (states.shape[-1] // 2) * (len(TERMS) + 2)
@@ -272,8 +276,8 @@ def _forces(fit: Fit, tracks: xr.Dataset, paths: PosteriorPaths) -> tuple[xr.Dat
         drawn = posterior_forces(fit, tracks, paths=paths)
     else:
         notes.append(
-            f"Forces are kept of each {_ordinal(stride)} frame, since those of all would take "
-            f"{draws * a_draw / 1e6:.0f} MB; with fewer draws more frames are kept."
+            f"Forces are kept for every {_ordinal(stride)} frame: those of all would take "
+            f"{draws * a_draw / 1e6:.0f} MB. Fewer draws keep more frames."
         )
         at_once = max(1, LARGEST // a_draw)
         portions = []
@@ -308,23 +312,23 @@ def _with_true_kernels(found: xr.Dataset, tracks: xr.Dataset) -> xr.Dataset:
 
 
 def _with_decisions(found: xr.Dataset, seed: int) -> xr.Dataset:
-    """Add whether somebody leads, and who keeps apart."""
+    """Add whether somebody leads, and who is isolated."""
     leader = find_leader(found, seed=seed)
-    loners = find_isolated(found)
+    isolated = find_isolated(found)
     found = found.assign(
         leader_alarm=leader["alarm"],
         leads=leader["leads"].astype(np.int8),
-        loner=loners["loner"].astype(np.int8),
+        isolated=isolated["isolated"].astype(np.int8),
     )
-    flags = {"leads": "1 if declared the leader", "loner": "1 if declared to keep apart"}
+    flags = {"leads": "1 if declared the leader", "isolated": "1 if declared isolated"}
     for name, text in flags.items():
         found[name].attrs = {"units": "1", "long_name": text}
     return found.assign_attrs(
         leader=leader.attrs["leader"],
         leader_by=leader.attrs["by"],
         leader_rate=leader.attrs["rate"],
-        loners=loners.attrs["loners"],
-        loners_by=loners.attrs["by"],
+        isolated=isolated.attrs["isolated"],
+        isolated_by=isolated.attrs["by"],
     )
 
 

@@ -7,7 +7,7 @@ from swarmssm.inference import Fit
 from swarmssm.metrics.edges import edge_auc
 from swarmssm.tracks import with_trials
 
-__all__ = ["inferred_edges", "sentence"]
+__all__ = ["inferred_edges"]
 
 PAIR = ("individual", "neighbor")
 
@@ -81,31 +81,6 @@ def inferred_edges(fit: Fit, tracks: xr.Dataset) -> xr.Dataset:
             found[name].attrs = {"long_name": text, "units": "1"}
     found.attrs = {"edges": fit.settings.edges or "", "edge_types": told.sizes["edge_type"]}
     return found
-
-
-def sentence(found: xr.Dataset) -> str:
-    """Say how common edges are, how sure the model is, and whether they go with distance."""
-    shares = ", ".join(
-        f"{100 * float(found['share'].sel(edge_type=kind)):.0f} % {kind}"
-        for kind in found["edge_type"].values
-    )
-    certainty, chance = float(found["certainty"]), 1.0 / found.sizes["edge_type"]
-    share = (certainty - chance) / (1.0 - chance)
-    sure = "hardly" if share < 0.2 else "somewhat" if share < 0.6 else "mostly"
-    text = (
-        f"Of pairs in a frame, by mean probability: {shares}. The model is {sure} sure of the type "
-        f"(mean probability of the likeliest {certainty:.2f}, by chance {chance:.2f})."
-    )
-    nearness = float(found["nearness_auc"])
-    if np.isfinite(nearness):
-        text += f" Edges tell the nearer half of the pairs with an AUC of {nearness:.2f}"
-        text += " (0.5: edges have nothing to do with distance)."
-    if "graph_auc" in found and np.isfinite(float(found["graph_auc"])):
-        text += (
-            f" The graph of the tracks is told with an AUC of {float(found['graph_auc']):.2f}, by "
-            f"distance alone {float(found['distance_auc']):.2f}."
-        )
-    return text
 
 
 def _mean_auc(truth: np.ndarray, score: np.ndarray) -> float:

@@ -19,6 +19,7 @@ from swarmssm.analysis.plots.checks import (
     plot_statistics,
 )
 from swarmssm.analysis.plots.curves import plot_collective, plot_horizon_errors, plot_training
+from swarmssm.analysis.plots.delays import plot_delays
 from swarmssm.analysis.plots.forces import (
     plot_force_arrows,
     plot_force_magnitudes,
@@ -60,6 +61,7 @@ __all__ = [
     "plot_check_overview",
     "plot_collective",
     "plot_coverage",
+    "plot_delays",
     "plot_ecdf_difference",
     "plot_edge_accuracy",
     "plot_edge_probabilities",

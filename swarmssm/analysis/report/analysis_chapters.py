@@ -7,11 +7,12 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from swarmssm.analysis.interpretation.analyzed import Analysis
-from swarmssm.analysis.interpretation.findings import findings_table
+from swarmssm.analysis.interpretation.result import Analysis
+from swarmssm.analysis.interpretation.summary import formatted_summary
 from swarmssm.analysis.plots import forces as force_plots
 from swarmssm.analysis.plots import influence as influence_plots
 from swarmssm.analysis.plots import latents as latent_plots
+from swarmssm.analysis.plots.delays import plot_delays
 from swarmssm.analysis.plots.gathered import plot_log_scores
 from swarmssm.analysis.plots.inferred_edges import plot_edge_probabilities
 from swarmssm.analysis.report import analysis_sentences as sentences
@@ -36,6 +37,7 @@ HEADINGS = {
     "force_maps": "What goes with a neighbour's place",
     "latents": "What the latents carry",
     "influence": "Who moves whom",
+    "delays": "Who turns first",
     "edges": "Inferred edges",
     "scores": "Held-out scores",
 }
@@ -63,6 +65,7 @@ def analysis_chapters(analysis: Analysis, anchor: str = "") -> list[Chapter]:
         "force_maps": _of_maps,
         "latents": _of_latents,
         "influence": _of_influence,
+        "delays": lambda found, text: [("Who turns first", text, lambda: [plot_delays(found)[0]])],
         "edges": _of_edges,
         "scores": _of_scores,
     }
@@ -71,7 +74,7 @@ def analysis_chapters(analysis: Analysis, anchor: str = "") -> list[Chapter]:
         for name, dataset in analysis.datasets.items():
             if name not in tell:
                 continue
-            sentence = analysis.sentences.get(name, "")
+            sentence = ""
             further: list[Block] = []
             if name == "scores":
                 own = own_model(dataset, str(analysis.settings.get("model", "")))
@@ -99,7 +102,7 @@ def analysis_chapter(anchor: str, analysis: Analysis | None) -> Chapter:
     title = "Forces and kernels"
     if analysis is None:
         return Chapter("forces", title)
-    blocks: list[Block] = [Table(FINDINGS, findings_table(analysis), "plain findings")]
+    blocks: list[Block] = [Table(FINDINGS, formatted_summary(analysis.datasets), "plain findings")]
     for chapter in analysis_chapters(analysis, f"{anchor}-"):
         if chapter.anchor != "scores":
             blocks += chapter.blocks

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import xarray as xr
 
-from swarmssm.analysis.interpretation.analyzed import Analysis
-from swarmssm.analysis.interpretation.findings import findings_table
+from swarmssm.analysis.interpretation.result import Analysis
+from swarmssm.analysis.interpretation.summary import formatted_summary
 from swarmssm.analysis.report.analysis_chapters import FINDINGS, HEADINGS, analysis_chapters
 from swarmssm.analysis.report.blocks import Table
 from swarmssm.analysis.report.facts import (
@@ -50,9 +50,9 @@ def analysis_page(
     return render(
         "analysis.html",
         title=title,
-        findings=Table(FINDINGS, findings_table(analysis), "plain findings"),
+        findings=Table(FINDINGS, formatted_summary(analysis.datasets), "plain findings"),
         chapters=analysis_chapters(analysis),
-        notes=list(analysis.notes),
+        notes=[analysis.verdict(), *analysis.notes],
         parameters=parameter_rows(fit),
         data=data_facts(fit, tracks, str(settings.get("part", "all")), "analysed part"),
         model=model_facts(fit),

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import xarray as xr
 
-from swarmssm.analysis.interpretation.analyzed import Analysis
+from swarmssm.analysis.interpretation.result import Analysis
 from swarmssm.analysis.plots.gathered import plot_gathered_shares, plot_log_scores
 from swarmssm.analysis.posterior.joining import joined
 from swarmssm.analysis.report import analysis_sentences
@@ -95,7 +95,7 @@ def gathered_page(
     # What starts with a heading of its own needs no other.
     headed = prose.startswith("#")
     told = [
-        (which, [(name, a.sentences[which]) for name, a in analyses.items() if _told(a, which)])
+        (which, [(name, a.verdict()) for name, a in analyses.items() if _told(a, which)])
         for which in ("influence", "latents")
     ]
     told = [(which, sentences) for which, sentences in told if sentences]
@@ -173,7 +173,7 @@ def _title(names: list[str]) -> str:
 
 def _told(analysis: Analysis, which: str) -> bool:
     """Return whether something is said of a question."""
-    return getattr(analysis, which) is not None and bool(analysis.sentences.get(which))
+    return getattr(analysis, which) is not None
 
 
 def _grouped(rows: list[Row]) -> dict[str, list[Row]]:
@@ -222,7 +222,7 @@ def _held_out(analyses: Mapping[str, Analysis]) -> list[Chapter]:
         analysis = analyses[name]
         own = own_model(found, str(analysis.settings.get("model", "")))
         text = score_sentence(found, own)
-        told = analysis.sentences.get("scores", "")
+        told = analysis.verdict()
         index = list(analyses).index(name)
         title = f"{name}: log score ahead"
         drawn = plot_log_scores(found, models=models)[0]
@@ -241,7 +241,7 @@ def _shares(analyses: Mapping[str, Analysis]) -> list[Picture]:
     if not there:
         return []
     title = "How large each force is"
-    said = " ".join(f"{name}: {analyses[name].sentences.get('forces', '')}" for name in there)
+    said = " ".join(f"{name}: {analyses[name].verdict()}" for name in there)
     text = (
         "A force's share of the sum of the mean strengths, with 90 % intervals, which hold if the "
         "model's terms are the right ones."
@@ -261,7 +261,7 @@ def _rules(analyses: Mapping[str, Analysis]) -> list[Chapter]:
         pictures = [] if found is None else [_kernels(f"s{index}-rule", name, found, analysis)]
         sentences = _missing({name: analysis}, "kernels")
         if _told(analysis, "forces"):
-            sentences.append(analysis.sentences["forces"])
+            sentences.append(analysis.verdict())
         chapters.append(Chapter(name, f"s{index}-rules", pictures, sentences, list(analysis.notes)))
     return chapters
 
@@ -269,7 +269,7 @@ def _rules(analyses: Mapping[str, Analysis]) -> list[Chapter]:
 def _kernels(anchor: str, name: str, found: xr.Dataset, analysis: Analysis) -> Picture:
     """Draw the kernels of one set, with the factor of the direction if there is one."""
     figures = kernel_figures(found)
-    text = analysis.sentences.get("kernels", "")
+    text = analysis.verdict()
     if modulation_varies(found):
         figures.append(modulation_figure(found))
         text = f"{text} {analysis_sentences.modulation(found)}".strip()
@@ -283,7 +283,7 @@ def _maps(analyses: Mapping[str, Analysis]) -> list[Picture]:
     for index, (name, analysis) in enumerate(analyses.items()):
         if analysis.force_maps is None:
             continue
-        text = analysis.sentences.get("force_maps", "")
+        text = ""
         alt = f"{name}. Force maps. {text}"
         svg = as_svg(map_figure(analysis.force_maps), f"s{index}-maps", alt)
         pictures.append(Picture(name, "", text, svg))

@@ -10,7 +10,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from swarmssm.analysis import plots
-from swarmssm.analysis.interpretation.analyzed import Analysis
+from swarmssm.analysis.interpretation.result import Analysis
 from swarmssm.analysis.plots.model_graph import plot_model
 from swarmssm.analysis.plots.presence import plot_presence
 from swarmssm.analysis.report import sentences

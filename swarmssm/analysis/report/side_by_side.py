@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
-from swarmssm.analysis.interpretation.analyzed import Analysis
-from swarmssm.analysis.interpretation.findings import Summary, findings
+from swarmssm.analysis.interpretation.result import Analysis
+from swarmssm.analysis.interpretation.summary import Row as Summary
 from swarmssm.analysis.scoring.table import NOTHING, format_number, format_unit
 
 __all__ = ["Cell", "Row", "fact_rows", "finding_rows", "unit_of", "unit_sentence"]
@@ -46,7 +46,10 @@ def fact_rows(analyses: Mapping[str, Analysis]) -> list[tuple[str, list[str]]]:
 def finding_rows(analyses: Mapping[str, Analysis]) -> list[Row]:
     """Return the main numbers of all, each quantity that any of them has in one row."""
     told = [
-        {(one.analysis, one.quantity): one for one in findings(analysis)}
+        {
+            (one.analysis, one.quantity): one
+            for one in analysis.summary().reset_index().itertuples(index=False)
+        }
         for analysis in analyses.values()
     ]
     order: list[tuple[str, str]] = []
@@ -154,7 +157,7 @@ def _cell(found: Summary | None) -> Cell:
     unit = format_unit(found.unit)
     sure = math.isfinite(found.low) and math.isfinite(found.high)
     ends = f"{_number(found, found.low)} to {_number(found, found.high)}" if sure else ""
-    return Cell(f"{_number(found, found.value)} {unit}".rstrip(), ends, found.beside)
+    return Cell(f"{_number(found, found.value)} {unit}".rstrip(), ends, found.reference)
 
 
 def _number(found: Summary, value: float) -> str:

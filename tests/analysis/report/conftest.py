@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 from swarmssm.analysis.interpretation.analyze import analyze
-from swarmssm.analysis.interpretation.analyzed import Analysis
+from swarmssm.analysis.interpretation.result import Analysis
 from swarmssm.inference import Fit
 
 MODELS = ("graph-vae", "boids", "constant-velocity", "noise-floor")

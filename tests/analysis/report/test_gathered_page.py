@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from swarmssm.analysis.interpretation.analyzed import Analysis
+from swarmssm.analysis.interpretation.result import Analysis
 from swarmssm.analysis.report.gathered_page import gathered_page, report_gathered
 from swarmssm.analysis.report.side_by_side import unit_sentence
 from swarmssm.errors import InputError

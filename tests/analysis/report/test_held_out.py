@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 
 from swarmssm.analysis.interpretation.analyze import analyze
-from swarmssm.analysis.interpretation.analyzed import Analysis
+from swarmssm.analysis.interpretation.result import Analysis
 from swarmssm.analysis.report.analysis_page import analysis_page
 from swarmssm.analysis.report.held_out import own_model, score_rows, score_sentence, shown_models
 

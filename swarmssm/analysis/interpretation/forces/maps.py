@@ -41,7 +41,6 @@ __all__ = [
     "force_map_agreement",
     "force_maps",
     "raw_force_map",
-    "sentence",
 ]
 
 Neighbors = Literal["all", "seen"]
@@ -362,27 +361,4 @@ def _compare(expected: Array, seen: Array, error: Array, weight: Array) -> tuple
         float(both / np.sqrt(own * other)),
         float(both / own),
         float(np.clip(reliability, 0.0, 1.0)),
-    )
-
-
-def sentence(maps: xr.Dataset) -> str:
-    """Say in a sentence what :func:`force_maps` found."""
-    parts = []
-    for name in MAPS:
-        one = maps.sel(map=name)
-        correlation, reliability = float(one["correlation"]), float(one["reliability"])
-        if not np.isfinite(correlation):
-            return (
-                "Too few pairs fall into the bins to compare the model's map with that of the "
-                "data; more recording, or fewer bins, would help."
-            )
-        parts.append(
-            f"for {name} the model's map correlates with that of the raw data by "
-            f"{correlation:.2f} (slope {float(one['slope']):.2f}), and of what the latter differs "
-            f"by between places {100 * reliability:.0f} % is more than sampling error"
-        )
-    text = "; ".join(parts)
-    return (
-        f"{text[0].upper()}{text[1:]}, over {int(maps['num_bins'])} bins. A map shows what "
-        "goes with a neighbour's place, which others and walls have a part in."
     )

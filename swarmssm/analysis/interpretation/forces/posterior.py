@@ -40,11 +40,12 @@ __all__ = [
     "TERMS",
     "force_summary",
     "posterior_forces",
-    "sentence",
 ]
 
 #: Into what every acceleration is split.
 TERMS = ("cohesion", "separation", "alignment", "self", "other")
+#: Those by which others act.
+NEIGHBOR_TERMS = ("cohesion", "separation", "alignment")
 #: Order of the dimensions of a force, behind draws.
 FORCE_DIMS = ("trial", "time", "individual", "space", "term")
 #: Where the terms of a transition, or of a simulator, belong; any other is ``other``.
@@ -271,8 +272,9 @@ def force_summary(forces: xr.Dataset) -> xr.Dataset:
         Length, mean over the individuals.
     ``individual_magnitude (quantile, individual, term)``, ``mean_magnitude (quantile, term)``
         Length, mean over all frames, and over all frames and individuals.
-    ``share (quantile, term)``
-        Mean length of a term over the sum of the mean lengths of all.
+    ``share (quantile, term)``, ``neighbor_share (quantile)``
+        Mean length of a term over the sum of the mean lengths of all; and of cohesion, separation
+        and alignment together.
     ``angle``, ``angle_to_heading (quantile, trial, time, individual, term)``
         In two dimensions: direction in the world, from the x axis towards the y axis, and
         from the heading, positive to where y is from x; radians, the middle from -pi to pi and the
@@ -310,6 +312,11 @@ def force_summary(forces: xr.Dataset) -> xr.Dataset:
             ("quantile", "term"),
             quantiles(share),
             {"units": "1", "long_name": "share of the sum of mean magnitudes"},
+        ),
+        "neighbor_share": (
+            "quantile",
+            quantiles(share[:, [TERMS.index(name) for name in NEIGHBOR_TERMS]].sum(-1)),
+            {"units": "1", "long_name": "share of cohesion, separation and alignment"},
         ),
     }
     for name, (angle, what) in _angles(force, velocity).items():
@@ -359,27 +366,3 @@ def _mean(values: Array, axes: tuple[int, ...]) -> Array:
     count = known.sum(axes)
     mean: Array = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
     return mean
-
-
-def sentence(forces: xr.Dataset) -> str:
-    """Say in a sentence what :func:`posterior_forces` or :func:`force_summary` found."""
-    summary = forces if "share" in forces else force_summary(forces)
-    share = 100.0 * summary["share"].to_numpy()
-    order = [i for i in np.argsort(-share[1]) if np.isfinite(share[1, i])]
-    parts = [
-        f"{TERMS[i]} {share[1, i]:.0f} % ({share[0, i]:.0f} to {share[2, i]:.0f})" for i in order
-    ]
-    low, middle, high = 100.0 * quantiles(summary["explained"].to_numpy())
-    listed = ", ".join(parts)
-    if summary.attrs["source"] == "projection":
-        return (
-            "The model has no named forces; the boids terms fitted to its accelerations by least "
-            f"squares explain {middle:.0f} % of them ({low:.0f} to {high:.0f} over the posterior "
-            f"draws), with shares of the mean magnitude: {listed}. What they leave over is other, "
-            "and the intervals do not count how far the boids terms are the wrong ones."
-        )
-    return (
-        f"Shares of the mean magnitude of the forces, with 90 % intervals: {listed}. Together the "
-        f"named terms make up {middle:.1f} % of the mean square of the expected acceleration, and "
-        "the intervals hold if the model's terms are the right ones."
-    )

@@ -23,7 +23,7 @@ from swarmssm.analysis.interpretation.forces.frames import QUANTILES, labels_of
 from swarmssm.errors import InputError
 from swarmssm.tracks import Array, states_of, validate_tracks, with_trials
 
-__all__ = ["delay_sentence", "leadership_delays"]
+__all__ = ["leadership_delays"]
 
 #: Longest delay, as a part of the longest trial and in seconds, unless the caller gives one.
 PART, LONGEST = 0.1, 5.0
@@ -264,33 +264,3 @@ def _known_quantiles(values: Array) -> Array:
     filled = np.where(mostly, values, 0.0)
     found: Array = np.nanquantile(filled, QUANTILES, axis=0)
     return np.where(mostly, found, np.nan)
-
-
-def delay_sentence(delays: xr.Dataset) -> str:
-    """Say in a sentence who leads by :func:`leadership_delays`, and how surely."""
-    lead = delays["lead"]
-    if not np.isfinite(lead).any():
-        return (
-            "Directions agree too little, or at no delay between the ends, for any individual to "
-            "be said to follow another."
-        )
-    best = str(lead["individual"].to_numpy()[int(np.nanargmax(lead.to_numpy()))])
-    low, high = (
-        float(delays["lead_interval"].sel(individual=best, quantile=q)) for q in (0.05, 0.95)
-    )
-    seconds = float(lead.sel(individual=best))
-    delays_known = np.isfinite(delays["delay_of_pair"]).sum().item() // 2
-    number = delays.sizes["individual"]
-    known = f"{delays_known} of {number * (number - 1) // 2} pairs have a delay"
-    if seconds <= 0:
-        return f"No individual turns before the others by directions alone ({known})."
-    text = (
-        f"Without any model, {best} turns first: the others follow it by {seconds:.2g} s on "
-        f"average ({known}"
-    )
-    if not math.isfinite(low):
-        return f"{text}); the recording is too short to say how surely."
-    text = f"{text}; 90 % interval {low:.2g} to {high:.2g} s over resampled time)"
-    if low > 0:
-        return f"{text}, so it leads; whether it is followed or only quicker this cannot say."
-    return f"{text}, which is not surely above 0."

@@ -136,7 +136,7 @@ def find_isolated(influence: xr.Dataset, rate: float = 0.05, *, share: float = 0
     An individual is declared not to move others if its weight is surely less than a ``share`` of
     what the median of the others has: if the posterior probability of the contrary is at most
     :math:`\alpha / N`, so that with probability :math:`1 - \alpha` nobody is declared so who has
-    that share. Likewise it is declared not to be moved, by its responsiveness; a loner is both.
+    that share. Likewise it is declared not to be moved, by its responsiveness; an isolated individual is both.
     Where the model has no such weights, outgoing and incoming influence along the path stand for
     them: in a law that is the same for all these say who keeps out of sight.
 
@@ -151,9 +151,9 @@ def find_isolated(influence: xr.Dataset, rate: float = 0.05, *, share: float = 0
 
     Returns
     -------
-    Dataset with ``moves_nobody``, ``is_unmoved`` and ``loner (individual)`` of bool, and
+    Dataset with ``without_influence``, ``without_response`` and ``isolated (individual)`` of bool, and
     ``sent_share``, ``received_share (individual)``: posterior medians of the weight as a share of
-    the others' median. ``attrs`` hold ``rate``, ``share``, ``loners`` (names, comma-separated) and
+    the others' median. ``attrs`` hold ``rate``, ``share``, ``isolated`` (names, comma-separated) and
     ``by``, ``"weights"`` or ``"path"``.
 
     Raises
@@ -176,12 +176,12 @@ def find_isolated(influence: xr.Dataset, rate: float = 0.05, *, share: float = 0
         contrary = (~(shares < share)).mean(0)
         decided.append(contrary <= rate / len(names))
         medians.append(np.median(shares, axis=0))
-    loner = decided[0] & decided[1]
+    isolated = decided[0] & decided[1]
     return xr.Dataset(
         {
-            "moves_nobody": ("individual", decided[0]),
-            "is_unmoved": ("individual", decided[1]),
-            "loner": ("individual", loner),
+            "without_influence": ("individual", decided[0]),
+            "without_response": ("individual", decided[1]),
+            "isolated": ("individual", isolated),
             "sent_share": ("individual", medians[0]),
             "received_share": ("individual", medians[1]),
         },
@@ -189,7 +189,7 @@ def find_isolated(influence: xr.Dataset, rate: float = 0.05, *, share: float = 0
         {
             "rate": float(rate),
             "share": float(share),
-            "loners": ", ".join(str(name) for name in names[loner]),
+            "isolated": ", ".join(str(name) for name in names[isolated]),
             "by": "weights" if by_weights else "path",
         },
     )

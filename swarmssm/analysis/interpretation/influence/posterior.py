@@ -30,7 +30,6 @@ from swarmssm.analysis.interpretation.influence.jacobians import (
     acceleration_jacobian,
     has_closed_form,
 )
-from swarmssm.analysis.interpretation.influence.leaders import find_isolated, find_leader
 from swarmssm.analysis.interpretation.influence.ranks import rank_probabilities
 from swarmssm.analysis.interpretation.influence.weights import (
     label_weights,
@@ -43,12 +42,11 @@ from swarmssm.analysis.posterior.accelerations import (
     acceleration_model,
     posterior_paths,
 )
-from swarmssm.analysis.scoring.table import format_number
 from swarmssm.errors import InputError
 from swarmssm.inference import Fit
 from swarmssm.tracks import Array
 
-__all__ = ["influence", "sentence"]
+__all__ = ["influence"]
 
 #: Steps at which derivatives are taken unless the caller says how many.
 STEPS = 500
@@ -84,7 +82,7 @@ def influence(
     seed
         Seed or generator.
     stride
-        Take each so manieth frame; absent: so that at most 500 are taken, fewer of large groups.
+        Take every n-th frame; absent: so that at most 500 are taken, fewer of large groups.
     length
         L, in the tracks' unit; absent: the median distance to the nearest neighbour of the training
         tracks.
@@ -311,72 +309,3 @@ def _typical_speed(paths: PosteriorPaths) -> float:
 def _quantiles(values: Array) -> Array:
     """Return quantiles over the first axis, NaN where any is NaN."""
     return np.quantile(values, QUANTILES, axis=0)
-
-
-def sentence(influence: xr.Dataset, rate: float = 0.05) -> str:
-    """Say in plain words who moves the others most, and whether there is a leader.
-
-    Parameters
-    ----------
-    influence
-        From :func:`influence`.
-    rate
-        Of false alarms of the decision.
-    """
-    low, middle, high = (influence["leadership"].sel(quantile=q).to_numpy() for q in QUANTILES)
-    if not np.isfinite(middle).any():
-        return "No two individuals are ever seen together, so nobody is known to move another."
-    best = int(np.nanargmax(middle))
-    name = str(influence["individual"].to_numpy()[best])
-    unit = influence.attrs["unit"]
-    first = float(influence["rank_probability"].sel(rank=1)[best])
-    text = (
-        f"{name} moves the others most: another state of it (by "
-        f"{_short(influence.attrs['position_scale'])} {unit} and "
-        f"{_short(influence.attrs['velocity_scale'])} {unit}/s) changes the acceleration of "
-        f"another by {_short(middle[best])} {unit}/s² (90 % interval {_short(low[best])} to "
-        f"{_short(high[best])}), where the median individual reaches {_short(np.nanmedian(middle))}"
-    )
-    if influence.attrs["certain"]:
-        text += "; the model has no posterior over states or rule, so the interval has no width."
-    else:
-        text += f"; it ranks first in {100 * first:.0f} % of the draws."
-    return f"{text} {_decision(influence, rate)}"
-
-
-def _short(value: Any) -> str:
-    """Return a number with two digits."""
-    return format_number(float(value), 2)
-
-
-def _decision(influence: xr.Dataset, rate: float) -> str:
-    """Return the decision on leaders, and on loners if the model has weights of both kinds."""
-    found = find_leader(influence, rate)
-    leader = found.attrs["leader"]
-    if found.attrs["by"] == "nothing":
-        return (
-            "Whether anyone leads cannot be decided: the law is the same for all, and there are "
-            "too few trials; a model with weights of individuals (kernel with influence) can tell."
-        )
-    asked = f"at a rate of false alarms of {100 * rate:g} % or less"
-    if found.attrs["by"] == "trials":
-        if leader:
-            return (
-                f"That {leader} is the one in trial after trial is no chance ({asked}), but the law"
-                " is the same for all, so this is by the places it takes."
-            )
-        return f"Which individual that is changes between trials as by chance ({asked})."
-    if leader:
-        weight = influence["weight"].sel(individual=leader)
-        low, high = np.quantile(weight, [0.05, 0.95])
-        text = (
-            f"By its weight, {_short(low)} to {_short(high)} times the mean of all, {leader} is a "
-            f"leader ({asked})."
-        )
-    else:
-        text = f"By the weights of individuals, none counts for more than every other ({asked})."
-    if "responsiveness" in influence:
-        loners = find_isolated(influence, rate).attrs["loners"]
-        if loners:
-            text += f" Neither moving others nor moved by them: {loners}."
-    return text

@@ -26,7 +26,6 @@ from swarmssm.analysis.posterior.accelerations import (
     posterior_paths,
 )
 from swarmssm.analysis.posterior.intervals import QUANTILES, quantiles
-from swarmssm.analysis.scoring.table import format_number
 from swarmssm.errors import InputError
 from swarmssm.inference import Fit
 from swarmssm.inference.guides import PathGuide
@@ -34,7 +33,7 @@ from swarmssm.inference.prediction import seeded
 from swarmssm.models import StateSpaceModel
 from swarmssm.tracks import Array
 
-__all__ = ["interaction_kernels", "sentence"]
+__all__ = ["interaction_kernels"]
 
 #: Draws of paths; each serves several draws of the parameters.
 PATHS = 20
@@ -42,7 +41,7 @@ PATHS = 20
 DISTANCES = 100
 ANGLES = 121
 #: Within these quantiles of the distances of pairs a kernel is believed.
-BELIEVED = (0.01, 0.99)
+BELIEVED = (0.01, 0.98)
 #: And where there are this share of as many neighbours as where most are.
 BELIEVED_FROM = 0.02
 #: Below this share of its largest value a kernel counts as ended.
@@ -72,7 +71,7 @@ def interaction_kernels(
         Draws of the kernels.
     distances
         Where the kernels are wanted, positive and increasing; absent, 100 between
-        the 0.1st and the 99.5th percentile of the distances of neighbours.
+        the 0.1st and the 98th percentile of the distances of neighbours.
     seed
         Seed or generator.
     projected
@@ -107,15 +106,16 @@ def interaction_kernels(
         share ``has_preferred_distance``.
     ``interaction_range``, ``alignment_range (quantile)``
         Beyond which the size of net, and of g, stays below a tenth of its largest value. Both are
-        looked for between the 1st and the 99th percentile of neighbours' distances, where there are
+        looked for between the 1st and the 98th percentile of neighbours' distances, where there are
         at least a fiftieth as many as where most are; where it does not end there, the last of
         these stands for it, and ``interaction_range_open``,
         ``alignment_range_open`` is the share of such draws.
 
     With weights of individuals (influence, responsiveness), kernels are those of the average pair.
-    ``attrs["source"]`` is ``"model"`` or ``"projection"``. Of a projection ``explained (draw)`` is
-    the R^2 of the whole, for blocks of time that were left out of it, and the bands hold both the
-    spread of paths and that over resampled blocks of time.
+    ``attrs["source"]`` is ``"model"`` or ``"projection"``. Of a projection ``projection_r2
+    (draw)`` is the R^2 of the whole, for blocks of time that were left out of it, and ``neighbor_r2
+    (draw)`` what the kernels add to the R^2 of the self part alone: 0 where neighbours say nothing.
+    These and the bands hold both the spread of paths and that over resampled blocks of time.
 
     Raises
     ------
@@ -130,7 +130,7 @@ def interaction_kernels(
         paths = posterior_paths(fit, tracks, min(draws, PATHS), seed)
     pairs = pair_distances(fit, paths)
     if distances is None:
-        last = pairs.quantile(0.995)
+        last = pairs.quantile(BELIEVED[1])
         distances = np.linspace(max(pairs.quantile(0.001), last / DISTANCES), last, DISTANCES)
     distances = _checked(distances)
     has_kernels = hasattr(getattr(fit.model, "transition", None), "kernels") and not projected
@@ -143,8 +143,10 @@ def interaction_kernels(
         knots = (pairs.quantile(0.001), pairs.quantile(0.995))
         found = project(fit, motion, paths, knots, distances, draws, seed)
         drawn = found.kernels
-        explained = {"units": "1", "long_name": "R^2 of the projection on left-out blocks"}
-        extra["explained"] = ("draw", found.explained, explained)
+        whole = {"units": "1", "long_name": "R^2 of the projection on left-out blocks"}
+        added = {"units": "1", "long_name": "R^2 that neighbours add on left-out blocks"}
+        extra["projection_r2"] = ("draw", found.projection_r2, whole)
+        extra["neighbor_r2"] = ("draw", found.neighbor_r2, added)
     sums = fit.model.transition.kernel_sums if has_kernels else {}
     number = pairs.neighbors[np.arange(draws) % paths.draws][:, None]
     drawn["net"] = np.zeros((draws, len(distances)))
@@ -328,49 +330,3 @@ def _crossing(distances: Array, values: Array, joined: Any) -> float:
     first = rising[0]
     share = -values[first] / (values[first + 1] - values[first])
     return float(distances[first] + share * (distances[first + 1] - distances[first]))
-
-
-def sentence(kernels: xr.Dataset) -> str:
-    """Say in a sentence what :func:`interaction_kernels` found."""
-    unit = kernels.attrs["unit"]
-
-    def interval(name: str) -> str:
-        low, middle, high = kernels[name].to_numpy()
-        return (
-            f"{format_number(middle)} {unit} (90 % interval {format_number(low)} to "
-            f"{format_number(high)})"
-        )
-
-    share = float(kernels["has_preferred_distance"])
-    if share >= 0.95:
-        first = f"Neighbours repel within and attract beyond {interval('preferred_distance')}"
-    elif share > 0.05:
-        first = (
-            f"In {100 * share:.0f} % of the draws neighbours repel within and attract beyond a "
-            f"distance, {interval('preferred_distance')} where there is one"
-        )
-    else:
-        middle = kernels["net"].sel(quantile=0.5)
-        mean = float((middle * kernels["density"]).sum())
-        word = "attract" if mean > 0 else "repel"
-        first = f"Neighbours {word} at nearly all distances seen, with no preferred distance"
-    if float(kernels["interaction_range_open"]) > 0.5:
-        reach = (
-            "the force does not end within the distances at which neighbours are, up to "
-            f"{format_number(kernels.attrs['believed_to'])} {unit}"
-        )
-    else:
-        reach = f"beyond {interval('interaction_range')} the force stays below a tenth of its peak"
-    number = float(kernels["neighbors"].sel(quantile=0.5))
-    few = format_number(number, 2)
-    several = "one neighbour" if few == "1.0" else f"{few} neighbours"
-    last = f"an individual has {several} on average"
-    text = f"{first}; {reach}; {last}"
-    if kernels.attrs["source"] == "model":
-        return f"{text}. The bands hold if the model's form of the rule is the right one."
-    explained = float(kernels["explained"].mean())
-    return (
-        f"{text}. These curves are a projection of a free-form model, and explain "
-        f"{100 * max(explained, 0.0):.0f} % of its accelerations in blocks of time left out; the "
-        "rest is no pairwise force by distance, and the bands do not speak of it."
-    )

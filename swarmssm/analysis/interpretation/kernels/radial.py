@@ -27,6 +27,8 @@ SPLINES = 12
 BLOCKS = 20
 #: Strengths of the smoothing prior that are tried, relative to the mean of the normal equations.
 STRENGTHS = np.logspace(-8, 1, 10)
+#: Columns of the individual's own terms, behind those of the two kernels.
+OWN = slice(2 * SPLINES, None)
 #: What keeps the equations solvable where there is no data.
 LEAST = 1e-10
 
@@ -38,12 +40,15 @@ class Projection(NamedTuple):
     ----------
     kernels
         ``"attraction"`` and ``"alignment"``, each ``(draw, distance)``.
-    explained
+    projection_r2
         ``(draw,)``: share of the mean square of the acceleration, in blocks that were left out.
+    neighbor_r2
+        ``(draw,)``: what of it the kernels add to the individual's own terms alone.
     """
 
     kernels: dict[str, Array]
-    explained: Array
+    projection_r2: Array
+    neighbor_r2: Array
 
 
 class _Normal(NamedTuple):
@@ -89,20 +94,27 @@ def project(
         normals = [_normal(fit, motion, paths, draw, knots) for draw in range(paths.draws)]
     penalty = _penalty()
     basis = _basis(distances, knots)
-    strengths = [_strength(normal, penalty) for normal in normals]
+    fitted = [_strength(normal, penalty) for normal in normals]
+    alone = [
+        _left_out(_own_terms(normal), 0.0, np.zeros_like(penalty)[OWN, OWN]) for normal in normals
+    ]
     with seeded(seed):
         weights = torch.empty(draws, BLOCKS, dtype=torch.float64).exponential_().numpy()
     kernels = {name: np.empty((draws, len(distances))) for name in ("attraction", "alignment")}
-    explained = np.empty(draws)
+    projection_r2, neighbor_r2 = np.full(draws, np.nan), np.full(draws, np.nan)
     for draw in range(draws):
         normal = normals[draw % paths.draws]
-        strength, explained[draw] = strengths[draw % paths.draws]
+        strength, left = fitted[draw % paths.draws]
         weight = weights[draw][: len(normal.squares)]
+        total = weight @ normal.squares
+        if total > 0:
+            projection_r2[draw] = 1.0 - weight @ left / total
+            neighbor_r2[draw] = weight @ (alone[draw % paths.draws] - left) / total
         products = np.tensordot(weight, normal.products, 1)
         solution = _solve(products, weight @ normal.targets, strength, penalty)
         kernels["attraction"][draw] = basis @ solution[:SPLINES]
         kernels["alignment"][draw] = basis @ solution[SPLINES : 2 * SPLINES]
-    return Projection(kernels, explained)
+    return Projection(kernels, projection_r2, neighbor_r2)
 
 
 def _knots(low: float, high: float) -> Array:
@@ -183,25 +195,35 @@ def _solve(products: Array, targets: Array, strength: float, penalty: Array) -> 
     """Solve penalised normal equations, each kernel and column on its own scale."""
     diagonal = products.diagonal().copy()
     scale = np.ones(len(diagonal))
-    for part in (slice(0, SPLINES), slice(SPLINES, 2 * SPLINES)):
-        scale[part] = np.sqrt(max(diagonal[part].mean(), 1e-300))
-    own = diagonal[2 * SPLINES :]
-    scale[2 * SPLINES :] = np.sqrt(np.where(own > 0, own, 1.0))
+    own = -len(OWN_COLUMNS)
+    for part in np.split(
+        np.arange(len(diagonal) + own), range(SPLINES, len(diagonal) + own, SPLINES)
+    ):
+        if part.size:
+            scale[part] = np.sqrt(max(diagonal[part].mean(), 1e-300))
+    scale[own:] = np.sqrt(np.where(diagonal[own:] > 0, diagonal[own:], 1.0))
     matrix = products / scale / scale[:, None] + strength * penalty
     matrix += LEAST * np.eye(len(matrix))
     return np.asarray(np.linalg.solve(matrix, targets / scale) / scale)
 
 
-def _strength(normal: _Normal, penalty: Array) -> tuple[float, float]:
-    """Return the strength that predicts left-out blocks best, and the share that it explains."""
+def _strength(normal: _Normal, penalty: Array) -> tuple[float, Array]:
+    """Return the strength that predicts left-out blocks best, and its squared errors there."""
+    tried = [_left_out(normal, strength, penalty) for strength in STRENGTHS]
+    best = int(np.argmin([errors.sum() for errors in tried]))
+    return float(STRENGTHS[best]), tried[best]
+
+
+def _left_out(normal: _Normal, strength: float, penalty: Array) -> Array:
+    """Return the sum of squared errors in each block, fitted to all others, ``(block,)``."""
     products, targets = normal.products.sum(0), normal.targets.sum(0)
-    best, least = STRENGTHS[0], np.inf
-    for strength in STRENGTHS:
-        left = 0.0
-        for product, target, square in zip(*normal, strict=True):
-            solution = _solve(products - product, targets - target, strength, penalty)
-            left += square - 2 * solution @ target + solution @ product @ solution
-        if left < least:
-            best, least = strength, left
-    total = normal.squares.sum()
-    return float(best), float(1.0 - least / total) if total > 0 else float("nan")
+    errors = []
+    for product, target, square in zip(*normal, strict=True):
+        solution = _solve(products - product, targets - target, strength, penalty)
+        errors.append(square - 2 * solution @ target + solution @ product @ solution)
+    return np.array(errors)
+
+
+def _own_terms(normal: _Normal) -> _Normal:
+    """Return the normal equations of the individual's own terms alone."""
+    return _Normal(normal.products[:, OWN, OWN], normal.targets[:, OWN], normal.squares)

@@ -11,12 +11,11 @@ from swarmssm.analysis.interpretation.latents.block_folds import Cells, Folds
 from swarmssm.analysis.interpretation.latents.probes import RidgeProbe, curved
 from swarmssm.analysis.interpretation.latents.rotations import RotatedAxes, rotated_axes
 from swarmssm.analysis.interpretation.latents.samples import Samples, Scores, scaled
-from swarmssm.analysis.interpretation.latents.sentence import sentence
 from swarmssm.analysis.interpretation.latents.sources import View, latents_of, untrained
 from swarmssm.inference import Fit
 from swarmssm.tracks import Array
 
-__all__ = ["compare_latents", "latent_force_alignment", "sentence"]
+__all__ = ["compare_latents", "latent_force_alignment"]
 
 PROBES = ("linear", "kernel")
 #: Places of the Gaussian bumps of a kernel probe, of all latents and of a single one.
