@@ -156,11 +156,11 @@ def decide(row: dict[str, object], rate: float) -> dict[str, object]:
     names = [str(place) for place in range(NUMBER)]
     dataset = label_weights(drawn[:, :NUMBER], drawn[:, NUMBER:], names)
     found = {rule: find_leader(dataset, rate, against=rule) for rule in ("each", "rest")}
-    loners = find_isolated(dataset, rate)
+    isolated = find_isolated(dataset, rate)
     return {
         "each": found["each"].attrs["leader"],
         "rest": found["rest"].attrs["leader"],
-        "loners": loners.attrs["loners"],
+        "isolated": isolated.attrs["isolated"],
         "named": str(row["place"]),
     }
 
@@ -181,8 +181,8 @@ def table(rows: list[dict[str, object]], rate: float) -> None:
             right = sum(kind == "leader" and d[rule] == d["named"] for d in decided)
             declared = sum(d[rule] != "" for d in decided)
             cells.append(f"{right} / {declared - right}")
-        right = sum(kind == "loner" and d["loners"] == d["named"] for d in decided)
-        declared = sum(d["loners"] != "" for d in decided)
+        right = sum(kind == "loner" and d["isolated"] == d["named"] for d in decided)
+        declared = sum(d["isolated"] != "" for d in decided)
         cells.append(f"{right} / {declared - right}")
         seconds = np.mean([row["seconds"] for row in mine])
         print(f"| {kind} | {len(mine)} | {' | '.join(cells)} | {seconds:.0f} |")

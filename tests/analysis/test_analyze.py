@@ -13,9 +13,11 @@ from swarmssm import inference, io, simulate
 from swarmssm.analysis.interpretation.analyze import analyze
 from swarmssm.analysis.interpretation.forces.posterior import posterior_forces
 from swarmssm.analysis.interpretation.result import ANALYSES, Analysis
-from swarmssm.analysis.interpretation.summary import findings, findings_table
+from swarmssm.analysis.interpretation.summary import formatted_summary
+from swarmssm.analysis.interpretation.verdict import forecast_test
 from swarmssm.analysis.report.analysis_page import analysis_page, report_analysis
 from swarmssm.analysis.scoring.backtest import backtest
+from swarmssm.analysis.scoring.tables import score_table
 from swarmssm.errors import InputError
 
 QUICK = {"latents": {"shifts": 19, "untrained_seeds": 1}}
@@ -23,7 +25,7 @@ QUICK = {"latents": {"shifts": 19, "untrained_seeds": 1}}
 
 @pytest.fixture(scope="module")
 def analysis(quick_fit, boids):
-    return analyze(quick_fit, boids, draws=3, options=QUICK)
+    return analyze(quick_fit, boids, draws=3, part="all", scores=False, options=QUICK)
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +38,6 @@ def written(analysis, tmp_path_factory):
 
 def test_all_is_there_for_a_plain_fit_in_two_dimensions(analysis):
     assert tuple(analysis.datasets) == ANALYSES
-    assert tuple(analysis.sentences) == ANALYSES
     assert analysis.forces["force"].sizes["draw"] == 3
     assert analysis.kernels["net_draws"].sizes["draw"] == 30
     assert analysis.force_maps["turning"].sizes["source"] == 2
@@ -71,10 +72,10 @@ def test_a_file_gives_back_every_number(analysis, written):
     back = Analysis.read(written)
     for name, dataset in analysis.datasets.items():
         xr.testing.assert_identical(back.datasets[name], dataset)
-    assert back.sentences == analysis.sentences
+    assert back.verdict() == analysis.verdict()
     assert back.settings == analysis.settings
     assert back.notes == analysis.notes
-    assert findings_table(back) == findings_table(analysis)
+    assert back.summary().equals(analysis.summary())
 
 
 def test_anybody_can_open_the_file(analysis, written):
@@ -86,7 +87,7 @@ def test_anybody_can_open_the_file(analysis, written):
 
 
 def test_an_existing_file_is_kept(quick_fit, boids, tmp_path):
-    forces = analyze(quick_fit, boids, draws=1, only=["forces"])
+    forces = analyze(quick_fit, boids, draws=1, only=["forces"], part="all", scores=False)
     path = tmp_path / "a.nc"
     path.write_text("precious")
     with pytest.raises(InputError, match="exists already"):
@@ -129,13 +130,13 @@ def test_mistakes_are_told(quick_fit, boids, arguments, fragment):
 
 
 def test_a_part_is_one_of_the_fits_own_tracks(quick_fit, boids):
-    found = analyze(quick_fit, boids, part="train", draws=1, only=["forces"])
+    found = analyze(quick_fit, boids, part="train", draws=1, only=["forces"], scores=False)
     assert found.forces.sizes["trial"] == len(quick_fit.split.part("train"))
     assert "trained on" in found.notes[0]
     others = simulate.simulate_boids(individuals=5, steps=20, trials=1, seed=9)
     with pytest.raises(InputError, match="not the tracks"):
         analyze(quick_fit, others, part="test")
-    assert analyze(quick_fit, others, draws=1, only=["forces"]).notes == ()
+    assert analyze(quick_fit, others, draws=1, only=["forces"], scores=False).notes == ()
 
 
 def test_what_cannot_be_had_is_left_out_with_a_note():
@@ -150,7 +151,7 @@ def test_what_cannot_be_had_is_left_out_with_a_note():
         attrs={key: space.attrs[key] for key in ("fps", "time_unit", "unit")},
     ).drop_vars("neighbor", errors="ignore")
     fit = inference.fit("graph-vae", tracks, guide="encoder", epochs=2)
-    found = analyze(fit, tracks, draws=1, only=["forces", "force_maps"])
+    found = analyze(fit, tracks, draws=1, only=["forces", "force_maps"], part="all", scores=False)
     assert found.force_maps is None
     assert found.forces is not None
     assert any(n.startswith("Left out: force maps. ") and "two" in n for n in found.notes)
@@ -158,46 +159,46 @@ def test_what_cannot_be_had_is_left_out_with_a_note():
     assert "Left out: force maps." in text
     assert "Force maps</h3>" not in text
     with pytest.raises(InputError, match="two dimensions"):
-        analyze(fit, tracks, draws=1, only=["force_maps"])
+        analyze(fit, tracks, draws=1, only=["force_maps"], part="all", scores=False)
 
 
 def test_long_recordings_are_thinned_and_say_so(quick_fit, boids, monkeypatch):
-    whole = analyze(quick_fit, boids, draws=4, only=["forces"])
+    whole = analyze(quick_fit, boids, draws=4, only=["forces"], part="all", scores=False)
     own = sys.modules["swarmssm.analysis.interpretation.analyze"]
     # Four draws of four trials of 60 frames of five individuals: 56 bytes a state.
     needed = 4 * 4 * 60 * 5 * 56
     monkeypatch.setattr(own, "LARGEST", needed // 3 + 1)
-    thin = analyze(quick_fit, boids, draws=4, only=["forces"])
+    thin = analyze(quick_fit, boids, draws=4, only=["forces"], part="all", scores=False)
     assert thin.forces.attrs["stride"] == 3
     np.testing.assert_array_equal(thin.forces["time"], whole.forces["time"][::3])
     np.testing.assert_array_equal(thin.forces["force"], whole.forces["force"][:, :, ::3])
     np.testing.assert_allclose(thin.forces["explained"], whole.forces["explained"])
-    assert "each 3rd frame" in " ".join(thin.notes)
+    assert "every 3rd frame" in " ".join(thin.notes)
 
 
 def test_progress_is_told(quick_fit, boids):
     told = []
-    analyze(quick_fit, boids, draws=1, only=["forces"], progress=told.append)
+    analyze(quick_fit, boids, draws=1, only=["forces"], progress=told.append, scores=False)
     assert told == ["paths", "forces"]
 
 
-def test_findings_hold_the_numbers_of_the_datasets(analysis):
-    found = {(one.analysis, one.quantity): one for one in findings(analysis)}
-    share = found["forces", "share of cohesion"]
+def test_the_summary_holds_the_numbers_of_the_datasets(analysis):
+    found = analysis.summary()
+    share = found.loc[("forces", "share of cohesion")]
     own = analysis.forces["share"].sel(term="cohesion")
     assert share.value == pytest.approx(100 * float(own.sel(quantile=0.5)))
     assert share.low == pytest.approx(100 * float(own.sel(quantile=0.05)))
-    assert share.beside.startswith("truth: R²")
-    r2 = found["latents", "R² of cohesion from all latents"]
+    assert share.reference.startswith("truth: R²")
+    r2 = found.loc[("latents", "R² of cohesion from all latents")]
     linear = analysis.latents.sel(probe="linear", source="latents", term="cohesion")
     assert r2.value == float(linear["source_vector_r2"])
     assert math.isnan(r2.low)
-    for row in findings_table(analysis):
-        assert list(row) == ["finding", "value", "90 % interval", "beside it"]
+    for row in formatted_summary(analysis.datasets):
+        assert list(row) == ["quantity", "value", "90 % interval", "reference"]
         assert all(row.values())
 
 
-def test_the_page_is_self_contained_and_says_each_sentence(analysis, quick_fit, boids, tmp_path):
+def test_the_page_is_self_contained(analysis, quick_fit, boids, tmp_path):
     path = report_analysis(analysis, quick_fit, boids, tmp_path / "a.html")
     text = path.read_text(encoding="utf-8")
     for address in re.findall(r'(?:src|href)="([^"]*)"', text):
@@ -208,12 +209,11 @@ def test_the_page_is_self_contained_and_says_each_sentence(analysis, quick_fit, 
     assert "<link" not in text
     assert "#000000" not in text.split("</style>")[1]
     words = html.unescape(text)
-    for sentence in analysis.sentences.values():
-        assert f"<figcaption>{sentence}</figcaption>" in words
+    assert analysis.verdict() in words
     for note in analysis.notes:
         assert note in words
-    for row in findings_table(analysis):
-        assert row["finding"] in words
+    for row in formatted_summary(analysis.datasets):
+        assert row["quantity"] in words
     places = re.findall(r'\bid="([^"]*)"', text)
     assert len(places) == len(set(places))
     assert text.count("<figure>") == text.count("<figcaption>") >= 9
@@ -226,21 +226,20 @@ def test_an_empty_analysis_makes_no_page(quick_fit, boids):
         analysis_page(Analysis(), quick_fit, boids)
 
 
-def test_scores_stand_beside_those_of_rivals(quick_fit, boids, tmp_path):
+def test_other_fits_are_scored_too(quick_fit, boids, tmp_path):
     other = inference.fit("graph-vae", boids, guide="encoder", epochs=1, seed=1)
     found = analyze(
         quick_fit,
         boids,
         draws=1,
         only=["forces"],
-        rivals={"other": other},
+        against={"other": other},
         options={"scores": {"horizons": (1, 3), "origins": 5, "draws": 10}},
     )
     alone = backtest(
         {"graph-vae": quick_fit, "other": other}, boids, horizons=(1, 3), origins=5, draws=10
     )
     xr.testing.assert_equal(found.scores, alone)
-    assert found.sentences["scores"]
     found.write(tmp_path / "a.nc")
     again = Analysis.read(tmp_path / "a.nc")
     np.testing.assert_array_equal(again.scores["log_score"], alone["log_score"])
@@ -251,10 +250,115 @@ def test_scores_stand_beside_those_of_rivals(quick_fit, boids, tmp_path):
 @pytest.mark.parametrize(
     ("given", "sentence"),
     [
-        ({"options": {"scores": {"origins": 5}}}, "scores are made only beside rivals"),
-        ({"rivals": {"graph-vae": None}}, "'graph-vae' is the name of the fit itself"),
+        ({"scores": False, "options": {"scores": {"origins": 5}}}, "scores: it is off"),
+        ({"scores": False, "against": {"other": None}}, "scores: it is off"),
+        ({"against": {"graph-vae": None}}, "'graph-vae' is the name of the fit itself"),
     ],
 )
-def test_scores_need_rivals_of_other_names(quick_fit, boids, given, sentence):
+def test_scores_that_contradict_are_refused(quick_fit, boids, given, sentence):
     with pytest.raises(InputError, match=sentence):
         analyze(quick_fit, boids, draws=1, only=["forces"], **given)
+
+
+def test_frames_that_were_held_out_are_judged_by_default(quick_fit, boids):
+    found = analyze(
+        quick_fit,
+        boids,
+        draws=1,
+        only=["forces", "delays"],
+        options={"scores": {"horizons": (1, 3), "origins": 20, "draws": 10}},
+    )
+    assert found.settings["part"] == "test"
+    held_out = [segment.trial for segment in quick_fit.split.part("test")]
+    assert [str(name) for name in found.forces["trial"].to_numpy()] == held_out
+    assert found.delays.sizes["individual"] == boids.sizes["individual"]
+    test = forecast_test(found.scores)
+    assert (test.model, test.horizons, test.trained_on) == ("graph-vae", (1, 3), False)
+    text = found.verdict()
+    assert ("should not be believed" in text) == (test.known and not test.better)
+    crps = score_table(found.scores, "crps")
+    simple = crps.sel(model=["stay-put", "constant-velocity"]).min("model")
+    np.testing.assert_allclose(test.skill, 1 - crps.sel(model="graph-vae") / simple)
+
+
+def planted(**skill):
+    """Scores of 60 origins in which another model's CRPS is higher by so much at each horizon."""
+    swing = np.random.default_rng(0).normal(0.0, 0.1, (60, 1))
+    swing -= swing.mean()
+    own = np.full((60, 3), 10.0)
+    names = ["boids", *(name.replace("_", "-") for name in skill)]
+    crps = np.stack([own, *(own + np.asarray(more) + swing for more in skill.values())])
+    over = ("model", "origin", "horizon")
+    return xr.Dataset(
+        {
+            "crps": (over, crps, {"units": "cm"}),
+            "coverage": ((*over, "level"), np.full((*crps.shape, 1), 0.9), {"units": "1"}),
+            "number": (over[1:], np.full((60, 3), 5)),
+            "trained_on": ("model", [0] * len(names)),
+        },
+        {
+            "model": names,
+            "horizon": [1, 2, 5],
+            "ahead": ("horizon", [0.1, 0.2, 0.5]),
+            "level": [0.9],
+            "trial": ("origin", ["a"] * 30 + ["b"] * 30),
+            "frame": ("origin", 5 * (np.arange(60) % 30)),
+        },
+    )
+
+
+def test_a_forecast_that_is_better_passes_and_one_that_is_not_is_no_evidence():
+    better = forecast_test(planted(constant_velocity=(1.0, 1.0, 1.0)))
+    assert better.passed
+    assert better.better == better.horizons
+    worse = planted(constant_velocity=(-1.0, -1.0, -1.0))
+    assert not forecast_test(worse).passed
+    assert "the rule should not be believed" in Analysis(scores=worse).verdict()
+    mixed = planted(constant_velocity=(1.0, 0.0, -1.0))
+    assert "with reserve" in Analysis(scores=mixed).verdict()
+    trained = worse.assign(trained_on=worse["trained_on"] + 1)
+    assert "no test" in Analysis(scores=trained).verdict()
+    few = worse.isel(origin=slice(0, 4))
+    assert "is not known" in Analysis(scores=few).verdict()
+    assert "not scored" in Analysis().verdict()
+
+
+def test_tables_hold_what_the_figures_show(analysis):
+    tables = analysis.to_pandas()
+    curve = tables["kernels"].query("kernel == 'net'")
+    inside = analysis.kernels.sel(distance=slice(None, analysis.kernels.attrs["believed_to"]))
+    np.testing.assert_array_equal(curve["median"], inside["net"].sel(quantile=0.5))
+    np.testing.assert_array_equal(curve["truth"], inside["truth_net"])
+    shares = tables["forces"].query("quantity == 'share'").set_index("term")
+    np.testing.assert_allclose(shares["high"], 100 * analysis.forces["share"].sel(quantile=0.95))
+    pair = tables["influence"].query("individual == '1' and neighbor == '0'")
+    own = analysis.influence["influence"].sel(individual="1", neighbor="0", quantile=0.5)
+    assert pair["median"].item() == float(own)
+    assert set(tables["force_maps"]["source"]) == {"model", "raw"}
+    assert sum(len(table) for table in tables.values()) < 20_000
+    assert not tables["kernels"].isna().any().any()
+
+
+def test_it_shows_itself_briefly(analysis):
+    assert len(repr(analysis)) < 800
+    page = analysis._repr_html_()
+    assert html.escape(analysis.verdict()) in page
+    assert page.count("<tr") == len(analysis.summary()) + 1
+
+
+def test_an_interval_without_width_is_fixed():
+    rows = formatted_summary({"kernels": planted_kernels()})
+    assert [row["90 % interval"] for row in rows if row["quantity"] == "kernels: neighbours"] == [
+        "fixed"
+    ]
+
+
+def planted_kernels():
+    """What the summary reads of kernels, with the same number of neighbours in all draws."""
+    ends = {"quantile": [0.05, 0.5, 0.95]}
+    data = {
+        "neighbors": ("quantile", [9.74] * 3),
+        "preferred_distance": ("quantile", [np.nan] * 3),
+        "has_preferred_distance": ((), 0.0),
+    }
+    return xr.Dataset(data, ends, {"unit": "cm", "source": "model"})

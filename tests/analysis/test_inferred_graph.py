@@ -95,7 +95,8 @@ def test_everything_can_be_asked_of_it(fit, flock):
     asked = ["forces", "kernels", "force_maps", "influence"]
     found = analyze(fit, short, draws=1, only=asked)
     assert set(found.datasets) >= {*asked, "edges"}
-    assert "Edges tell the nearer half of the pairs with an AUC of " in found.sentences["edges"]
+    row = found.summary().loc[("edges", "AUC for the nearer half of the pairs")]
+    assert row["value"] == float(found.edges["nearness_auc"])
     assert "How likely an edge is" in analysis_page(found, fit, short)
     data = to_inference_data(fit, short, draws=2)
     density = data["log_likelihood"]["position"].to_numpy()

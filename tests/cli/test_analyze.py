@@ -7,7 +7,7 @@ import xarray as xr
 
 from swarmssm.analysis.interpretation.result import Analysis
 
-QUICK = ("--draws", 2, "--only", "forces,kernels,influence")
+QUICK = ("--draws", 2, "--only", "forces,kernels,influence", "--no-scores")
 
 
 def test_it_writes_data_and_page_and_prints_the_main_numbers(
@@ -16,7 +16,14 @@ def test_it_writes_data_and_page_and_prints_the_main_numbers(
     result = swarmssm("analyze", run_folder, flock_file, "--out", "a.nc", *QUICK)
     assert result.status == 0, result.err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.html", "a.nc"]
-    for words in ("share of cohesion", "neighbours", "influence", "interval", "a.html"):
+    for words in (
+        "Neighbours make up",
+        "share of cohesion",
+        "neighbours",
+        "influence",
+        "interval",
+        "a.html",
+    ):
         assert words in result.out
     assert "analysing forces" in result.err
     found = Analysis.read(tmp_path / "a.nc")
@@ -30,15 +37,15 @@ def test_json_and_options_and_the_name_of_the_page(swarmssm, flock_file, run_fol
     result = swarmssm(
         *("analyze", run_folder, flock_file, "--out", "a.nc", "--report", "other.html"),
         *("--only", "force_maps", "--set", "force_maps.bins=5", "--draws", 1, "--format", "json"),
-        *("--part", "train", "--seed", 3),
+        *("--part", "train", "--seed", 3, "--no-scores"),
     )
     assert result.status == 0, result.err
     told = json.loads(result.out)
     assert told["settings"]["options"] == {"force_maps": {"bins": 5}}
     assert told["settings"]["part"] == "train"
     assert told["settings"]["seed"] == 3
-    assert {row["analysis"] for row in told["findings"]} == {"force maps"}
-    assert told["sentences"]["force_maps"]
+    assert {row["analysis"] for row in told["summary"]} == {"force maps"}
+    assert "Forecasts were not scored" in told["verdict"]
     assert (tmp_path / "other.html").exists()
     assert not (tmp_path / "a.html").exists()
     with xr.open_dataset(tmp_path / "a.nc", group="force_maps") as maps:
@@ -106,7 +113,7 @@ def test_what_exists_is_left_alone(swarmssm, flock_file, run_folder, tmp_path, k
 def test_what_exists_is_replaced_when_asked(swarmssm, flock_file, run_folder, tmp_path):
     for kept in ("a.nc", "a.html"):
         (tmp_path / kept).write_text("precious")
-    short = ("--draws", 1, "--only", "forces", "--overwrite")
+    short = ("--draws", 1, "--only", "forces", "--overwrite", "--no-scores")
     result = swarmssm("analyze", run_folder, flock_file, "--out", "a.nc", *short)
     assert result.status == 0, result.err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.html", "a.nc"]

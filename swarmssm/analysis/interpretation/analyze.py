@@ -142,28 +142,31 @@ def analyze(
     found: dict[str, xr.Dataset] = {}
     refused: list[SwarmssmError] = []
 
-    def ask(name: str, question: Callable[[], tuple[xr.Dataset, list[str]]]) -> None:
+    def ask(name: str) -> None:
         show(name)
+        own = given.get(name, {})
+        more: list[str] = []
         try:
-            found[name], more = question()
+            if name == "scores":
+                found[name] = backtest(fits, whole, seed=seed, **own)
+            else:
+                found[name], more = _ask(name, fit, tracks, paths, draws, seed, own)
         except SwarmssmError as error:
-            if str(error).partition(":")[0] in given.get(name, {}):
+            if str(error).partition(":")[0] in own:
                 raise
             refused.append(error)
             more = [f"Left out: {TITLES[name]}. {error}"]
         notes.extend(more)
 
     for name in chosen:
-        ask(
-            name, lambda name=name: _ask(name, fit, tracks, paths, draws, seed, given.get(name, {}))
-        )  # type: ignore[misc]
+        ask(name)
     if not found:
         raise refused[0]
     if has_inferred_edges(fit.model):
         show("edges")
         found["edges"] = inferred_edges(fit, tracks)
     if scores:
-        ask("scores", lambda: (backtest(fits, whole, seed=seed, **given.get("scores", {})), []))
+        ask("scores")
     table = fit.parameter_table(seed=seed)
     if len(table):
         found["parameters"] = _labelled(table)

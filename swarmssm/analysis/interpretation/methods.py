@@ -128,5 +128,6 @@ def _versions(analysis: Analysis, fit: Fit) -> str:
     versions = fit.provenance.get("versions") or {}
     listed = ", ".join(f"{name} {version}" for name, version in versions.items())
     digest = (fit.provenance.get("data") or {}).get("sha256", "")
-    text = f"**Software.** Fitted with {listed}; analysed with swarmssm {analysis.settings['version']}."
+    own = analysis.settings["version"]
+    text = f"**Software.** Fitted with {listed}; analysed with swarmssm {own}."
     return f"{text} SHA-256 of the tracks: `{digest}`." if digest else text

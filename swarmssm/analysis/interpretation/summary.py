@@ -11,7 +11,7 @@ import xarray as xr
 from swarmssm.analysis.posterior.intervals import quantiles
 from swarmssm.analysis.scoring.table import NOTHING, format_number, format_unit
 
-__all__ = ["FIXED", "formatted_summary", "summary_of"]
+__all__ = ["FIXED", "Row", "formatted_summary", "rows_of", "summary_of"]
 
 #: Per cent below which a share is shown as 0.
 NO_SHARE = 0.05
@@ -33,8 +33,8 @@ class Row(NamedTuple):
     reference: str = ""
 
 
-def summary_of(datasets: Mapping[str, xr.Dataset]) -> pd.DataFrame:
-    """Return the main numbers of the datasets of an analysis; see :meth:`Analysis.summary`."""
+def rows_of(datasets: Mapping[str, xr.Dataset]) -> list[Row]:
+    """Return the main numbers of the datasets of an analysis."""
     told: dict[str, Callable[[xr.Dataset], Iterator[Row]]] = {
         "forces": _of_forces,
         "kernels": _of_kernels,
@@ -42,15 +42,21 @@ def summary_of(datasets: Mapping[str, xr.Dataset]) -> pd.DataFrame:
         "latents": _of_latents,
         "influence": _of_influence,
         "delays": _of_delays,
+        "edges": _of_edges,
     }
-    rows = [row for name, tell in told.items() if name in datasets for row in tell(datasets[name])]
+    return [row for name, tell in told.items() if name in datasets for row in tell(datasets[name])]
+
+
+def summary_of(datasets: Mapping[str, xr.Dataset]) -> pd.DataFrame:
+    """Return :func:`rows_of` as a table; see :meth:`Analysis.summary`."""
+    rows = rows_of(datasets)
     return pd.DataFrame(rows, columns=Row._fields).set_index(["analysis", "quantity"])
 
 
 def formatted_summary(datasets: Mapping[str, xr.Dataset]) -> list[dict[str, str]]:
-    """Return :func:`summary_of` as text, column title to text, for a console or a page."""
+    """Return :func:`rows_of` as text, column title to text, for a console or a page."""
     rows = []
-    for row in summary_of(datasets).reset_index().itertuples(index=False):
+    for row in rows_of(datasets):
         value = format_value(row.value, row.unit)
         unit = format_unit(row.unit)
         rows.append(
@@ -244,3 +250,22 @@ def _of_delays(found: xr.Dataset) -> Iterator[Row]:
         "s",
         f"directions alone, no model; {known} of {number * (number - 1) // 2} pairs have a delay",
     )
+
+
+def _of_edges(found: xr.Dataset) -> Iterator[Row]:
+    for kind in found["edge_type"].to_numpy():
+        share = 100 * float(found["share"].sel(edge_type=kind))
+        yield Row("edges", f"mean probability of {kind}", share, unit="%")
+    chance = f"by chance {1 / found.sizes['edge_type']:.2f}"
+    yield Row(
+        "edges",
+        "mean probability of the most probable type",
+        float(found["certainty"]),
+        reference=chance,
+    )
+    nearness = float(found["nearness_auc"])
+    yield Row("edges", "AUC for the nearer half of the pairs", nearness, reference="by chance 0.50")
+    if "graph_auc" in found:
+        reference = f"by distance alone {float(found['distance_auc']):.2f}"
+        auc = float(found["graph_auc"])
+        yield Row("edges", "AUC for the graph of the tracks", auc, reference=reference)

@@ -1,9 +1,9 @@
 """The verdict of an analysis: what moves the animals, how sure that is, and whether it forecasts.
 
 A rule is believed on its forecasts. At each horizon the fit is compared with the best simple
-baseline there by the continuous ranked probability score (CRPS) of held-out positions, with the 90 %
-interval of the paired difference. It passes if it is better beyond chance at one horizon or more,
-and worse at none.
+baseline there by the continuous ranked probability score (CRPS) of held-out positions, with the
+90 % interval of the paired difference. It passes if it is better beyond chance at one horizon or
+more, and worse at none.
 """
 
 from collections.abc import Mapping
@@ -15,9 +15,9 @@ import xarray as xr
 from swarmssm.analysis.posterior.intervals import quantiles
 from swarmssm.analysis.posterior.joining import joined
 from swarmssm.analysis.scoring.differences import paired_difference
+from swarmssm.analysis.scoring.references import REFERENCES
 from swarmssm.analysis.scoring.table import format_number
 from swarmssm.analysis.scoring.tables import score_table
-from swarmssm.baselines import BASELINES
 
 __all__ = ["ForecastTest", "forecast_test", "verdict_of"]
 
@@ -77,7 +77,7 @@ def forecast_test(scores: xr.Dataset) -> ForecastTest:
     """
     models = [str(name) for name in scores["model"].to_numpy()]
     model, horizons = models[0], [int(k) for k in scores["horizon"].to_numpy()]
-    simple = [name for name in models if name in BASELINES]
+    simple = [name for name in models if name in REFERENCES]
     crps = score_table(scores, "crps")
     base = np.where(np.isnan(own := crps.sel(model=simple).to_numpy()), np.inf, own)
     best = [simple[index] for index in base.argmin(0)]
@@ -134,14 +134,14 @@ def _forces(found: xr.Dataset) -> str:
     if not np.isfinite(neighbors).all():
         return "No force acts."
     social = share.sel(term=list(SOCIAL), quantile=0.5)
-    largest = str(social["term"].to_numpy()[int(social.argmax())])
+    largest = str(social["term"].to_numpy()[int(np.argmax(social.to_numpy()))])
     text = f"Neighbours make up {_share(neighbors)} of the mean force"
     if float(social.max()) >= 0.005:
         text += f", mostly {largest}"
     own = share.sel(term=["self", "other"]).to_numpy()
     text += f"; the individual's own terms {_share(own[:, 0])}, other {_share(own[:, 1])}."
     if found.attrs["source"] == "projection":
-        low, middle, _ = 100 * quantiles(found["explained"].to_numpy())
+        _, middle, _ = 100 * quantiles(found["explained"].to_numpy())
         text += (
             f" The model has no named forces; these terms fitted to it explain {middle:.0f} % of "
             "its accelerations."
@@ -154,10 +154,10 @@ def _kernels(found: xr.Dataset) -> list[str]:
     if "neighbor_r2" in found:
         low, middle, high = 100 * quantiles(found["neighbor_r2"].to_numpy())
         gain = f"{middle:.0f} % ({low:.0f} to {high:.0f})"
+        if not np.isfinite(middle):
+            return ["The model expects no acceleration."]
         if low <= 0.5:
-            return [
-                f"Neighbours explain no share of the accelerations that can be told from 0 ({gain})."
-            ]
+            return [f"Neighbours explain {gain} of the accelerations, which is not surely above 0."]
         tested = [
             f"Neighbours explain {gain} of the accelerations beyond the individual's own terms."
         ]
@@ -192,12 +192,13 @@ def _delays(found: xr.Dataset) -> list[str]:
 
 def _forecasts(scores: xr.Dataset) -> str:
     """Say whether forecasts are better than the best simple baseline's, and what follows."""
-    if not any(str(name) in BASELINES for name in scores["model"].to_numpy()):
+    if not any(str(name) in REFERENCES for name in scores["model"].to_numpy()):
         return UNTESTED
     found = forecast_test(scores)
     names = joined([name.replace("-", " ") for name in dict.fromkeys(found.baselines)])
     last = found.skill[-1]
-    size = f"CRPS {abs(100 * last):.0f} % {'lower' if last > 0 else 'higher'} at {_at(found.horizons[-1:])}"
+    side = "lower" if last > 0 else "higher"
+    size = f"CRPS {abs(100 * last):.0f} % {side} at {_at(found.horizons[-1:])}"
     if found.trained_on:
         text = (
             f"No frames were held out: compared with {names} ({size}), the score is of frames that "
@@ -205,8 +206,8 @@ def _forecasts(scores: xr.Dataset) -> str:
         )
     elif not found.known:
         text = (
-            f"Compared with the best simple baseline, {names} ({size}), the held-out frames are too "
-            "few to tell chance apart: the rule is not tested."
+            f"The held-out frames are too few for a test against the best simple baseline, {names} "
+            f"({size}): whether the rule can be believed is not known."
         )
     elif found.passed:
         text = (

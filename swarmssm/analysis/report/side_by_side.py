@@ -9,6 +9,7 @@ import xarray as xr
 
 from swarmssm.analysis.interpretation.result import Analysis
 from swarmssm.analysis.interpretation.summary import Row as Summary
+from swarmssm.analysis.interpretation.summary import rows_of
 from swarmssm.analysis.scoring.table import NOTHING, format_number, format_unit
 
 __all__ = ["Cell", "Row", "fact_rows", "finding_rows", "unit_of", "unit_sentence"]
@@ -46,10 +47,7 @@ def fact_rows(analyses: Mapping[str, Analysis]) -> list[tuple[str, list[str]]]:
 def finding_rows(analyses: Mapping[str, Analysis]) -> list[Row]:
     """Return the main numbers of all, each quantity that any of them has in one row."""
     told = [
-        {
-            (one.analysis, one.quantity): one
-            for one in analysis.summary().reset_index().itertuples(index=False)
-        }
+        {(one.analysis, one.quantity): one for one in rows_of(analysis.datasets)}
         for analysis in analyses.values()
     ]
     order: list[tuple[str, str]] = []

@@ -78,7 +78,6 @@ def shoal(flock: Analysis) -> Analysis:
         force_maps=flock.force_maps.assign_attrs(unit="cm"),
         influence=flock.influence.assign_attrs(unit="cm"),
         scores=planted_scores(boids=(-1.0, -1.0, -1.0), constant_velocity=(1.0, 0.0, -1.0)),
-        sentences={**flock.sentences, "scores": "Planted in steps of one."},
         notes=("Simulated.",),
     )
 
@@ -92,6 +91,5 @@ def sparse(flock: Analysis) -> Analysis:
         force_maps=None,
         influence=None,
         parameters=None,
-        sentences={"forces": flock.sentences["forces"]},
         notes=("Left out: force maps. The tracks have three dimensions.",),
     )

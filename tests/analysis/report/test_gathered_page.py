@@ -53,16 +53,13 @@ def test_names_of_sets_are_text(page):
     assert "shoal <1>" not in page
 
 
-def test_each_figure_has_a_sentence_and_an_alternative_text(page, flock, shoal, words):
+def test_each_figure_has_a_sentence_and_an_alternative_text(page):
     # Shares of all, kernels and maps of two, scores of one.
     assert page.count("<figure>") == page.count("<figcaption>") == 1 + 2 + 2 + 1
     # A set with a factor of the direction has a third panel.
     drawn = re.findall(r'<svg [^>]*role="img"[^>]*aria-label="([^"]*)"', page)
     assert len(drawn) == 1 + 2 + 3 + 2 + 1
     assert all(len(text) > 40 for text in drawn)
-    for name in ("forces", "kernels", "force_maps", "influence"):
-        assert flock.sentences[name] in words
-    assert "Planted in steps of one." in section(words, "scores")
     assert "<li>The baselines are told nothing.</li>" in section(page, "scores")
     assert "<li>Simulated.</li>" in page
 

@@ -136,9 +136,9 @@ def find_isolated(influence: xr.Dataset, rate: float = 0.05, *, share: float = 0
     An individual is declared not to move others if its weight is surely less than a ``share`` of
     what the median of the others has: if the posterior probability of the contrary is at most
     :math:`\alpha / N`, so that with probability :math:`1 - \alpha` nobody is declared so who has
-    that share. Likewise it is declared not to be moved, by its responsiveness; an isolated individual is both.
-    Where the model has no such weights, outgoing and incoming influence along the path stand for
-    them: in a law that is the same for all these say who keeps out of sight.
+    that share. Likewise it is declared not to be moved, by its responsiveness; an isolated
+    individual is both. Where the model has no such weights, outgoing and incoming influence along
+    the path stand for them: in a law that is the same for all these say who keeps out of sight.
 
     Parameters
     ----------
@@ -151,10 +151,10 @@ def find_isolated(influence: xr.Dataset, rate: float = 0.05, *, share: float = 0
 
     Returns
     -------
-    Dataset with ``without_influence``, ``without_response`` and ``isolated (individual)`` of bool, and
-    ``sent_share``, ``received_share (individual)``: posterior medians of the weight as a share of
-    the others' median. ``attrs`` hold ``rate``, ``share``, ``isolated`` (names, comma-separated) and
-    ``by``, ``"weights"`` or ``"path"``.
+    Dataset with ``without_influence``, ``without_response`` and ``isolated (individual)`` of bool,
+    and ``sent_share``, ``received_share (individual)``: posterior medians of the weight as
+    a share of the others' median. ``attrs`` hold ``rate``, ``share``, ``isolated`` (names, with
+    commas) and ``by``, ``"weights"`` or ``"path"``.
 
     Raises
     ------

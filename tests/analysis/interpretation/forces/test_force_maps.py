@@ -15,7 +15,6 @@ from swarmssm.analysis.interpretation.forces.maps import (
     force_map_agreement,
     force_maps,
     raw_force_map,
-    sentence,
 )
 from swarmssm.analysis.interpretation.forces.parabolas import parabola, shortest_window
 from swarmssm.errors import InputError
@@ -80,9 +79,6 @@ def test_map_of_a_pull_is_the_place_itself(make_fit: Make, make_law: Make) -> No
     assert int(maps["num_bins"]) > 20
     assert float(maps["correlation"].min()) > 0.95
     np.testing.assert_allclose(maps["slope"], 1.0, atol=0.15)
-    text = sentence(maps)
-    assert "turning" in text
-    assert f"{int(maps['num_bins'])} bins" in text
 
 
 def test_a_symmetric_map_is_its_own_mirror_image(packed_boids: xr.Dataset) -> None:
@@ -216,12 +212,6 @@ def test_agreement_by_hand() -> None:
     assert few["num_bins"] == 0
     with pytest.raises(InputError, match="bins"):
         force_map_agreement(planted(values), planted(np.zeros((4, 4))))
-
-
-def test_sentence_when_there_are_too_few(make_fit: Make, make_law: Make) -> None:
-    tracks = simulate.simulate_boids(2, 12, seed=0)
-    maps = force_maps(make_fit(tracks, make_law()), tracks, draws=1, bins=9)
-    assert "Too few pairs" in sentence(maps)
 
 
 def test_default_extent_is_four_nearest_distances() -> None:

@@ -13,7 +13,6 @@ from swarmssm.analysis.interpretation.forces.posterior import (
     TERMS,
     force_summary,
     posterior_forces,
-    sentence,
 )
 from swarmssm.analysis.interpretation.forces.truth import force_agreement, true_forces
 from swarmssm.analysis.posterior.accelerations import acceleration_model
@@ -290,17 +289,6 @@ def test_agreement_of_well_calibrated_draws() -> None:
     assert np.isfinite(shifted["r_squared"].item())
     with pytest.raises(InputError, match="no trial"):
         force_agreement(forces.assign_coords(time=forces["time"] + 0.5), true)
-
-
-def test_sentences(packed_boids: xr.Dataset, make_fit: Make, make_law: Make, nameless: Any) -> None:
-    named = posterior_forces(make_fit(packed_boids, make_law()), packed_boids, 2)
-    summary = force_summary(named)
-    share = 100 * float(summary["share"].sel(quantile=0.5, term="cohesion"))
-    assert f"cohesion {share:.0f} %" in sentence(named)
-    assert sentence(summary) == sentence(named)
-    free = posterior_forces(make_fit(packed_boids, make_law(nameless)), packed_boids, 2)
-    assert "no named forces" in sentence(free)
-    assert "explain 100 %" in sentence(free)
 
 
 def test_no_true_forces() -> None:

@@ -13,11 +13,10 @@ from swarmssm.analysis.interpretation.influence.jacobians import (
     acceleration_jacobian,
     has_closed_form,
 )
-from swarmssm.analysis.interpretation.influence.posterior import influence, sentence
+from swarmssm.analysis.interpretation.influence.posterior import influence
 from swarmssm.analysis.interpretation.influence.ranks import rank_probabilities
 from swarmssm.analysis.interpretation.influence.weights import WEIGHT_SAMPLES
 from swarmssm.analysis.posterior.accelerations import acceleration_model, posterior_paths
-from swarmssm.analysis.scoring.table import format_number
 from swarmssm.errors import InputError
 from swarmssm.models.transitions import BoidsTransition, SplineBasis
 
@@ -198,7 +197,6 @@ def test_portions_of_time_change_nothing(quick_fit, boids, monkeypatch):
     for name in ("influence", "step_influence", "trial_influence"):
         np.testing.assert_allclose(parts[name], whole[name], rtol=1e-5)
     assert whole.attrs["certain"] == 1
-    assert "no posterior over states" in sentence(whole)
     # Four trials: the mean of all is that of the trials' means, all frames being there.
     np.testing.assert_allclose(
         whole["trial_influence"].mean("trial"), whole["influence"].sel(quantile=0.5), rtol=1e-6
@@ -267,14 +265,3 @@ def test_one_alone_moves_nobody(make_fit, make_kernels):
     alone = simulate.simulate_boids(1, 5)
     with pytest.raises(InputError, match="one individual"):
         influence(make_fit(alone, make_kernels()), alone)
-
-
-def test_the_sentence_says_the_numbers(make_fit, make_kernels, tracks):
-    """A leader of known weight by a narrow posterior is named as such."""
-    prior = dist.LogNormal(torch.tensor([0.0, 2.0, 0.0, 0.0]), 0.1).to_event(1)
-    found = influence(make_fit(tracks, make_kernels(influence=prior)), tracks, 2)
-    text = sentence(found)
-    assert text.startswith("1 moves the others most")
-    middle = float(found["leadership"].sel(individual="1", quantile=0.5))
-    assert f"{format_number(middle, 2)} cm/s²" in text
-    assert "1 is a leader (at a rate of false alarms of 5 % or less)" in text

@@ -116,15 +116,15 @@ def test_one_trial_without_weights_says_nothing():
     assert found.attrs["leader"] == ""
 
 
-def test_the_loner_is_recognised():
+def test_the_isolated_one_is_recognised():
     """The second sends and receives a tenth; the third sends as little, but is moved."""
     rng = np.random.default_rng(4)
     sent = posterior(np.log([1.0, 0.1, 0.1, 1.0, 1.0]), rng)
     received = posterior(np.log([1.0, 0.1, 1.0, 1.0, 1.0]), rng)
     found = find_isolated(labelled(sent, received))
-    assert found["moves_nobody"].values.tolist() == [False, True, True, False, False]
-    assert found["is_unmoved"].values.tolist() == [False, True, False, False, False]
-    assert found.attrs["loners"] == "fish1"
+    assert found["without_influence"].values.tolist() == [False, True, True, False, False]
+    assert found["without_response"].values.tolist() == [False, True, False, False, False]
+    assert found.attrs["isolated"] == "fish1"
     assert found.attrs["by"] == "weights"
     assert float(found["sent_share"][1]) == pytest.approx(0.1, rel=0.5)
 
@@ -134,7 +134,7 @@ def test_who_has_the_share_is_seldom_called_without_influence():
     rng = np.random.default_rng(5)
     truth = np.log([0.5, 1.0, 1.0, 1.0, 1.0])
     called = [
-        bool(find_isolated(labelled(*both))["moves_nobody"][0])
+        bool(find_isolated(labelled(*both))["without_influence"][0])
         for both in (
             (posterior(truth, rng, 2000), posterior(truth, rng, 2000)) for _ in range(DATA_SETS)
         )
@@ -152,7 +152,7 @@ def test_mistakes(options, word):
         find_leader(weights, **options)
 
 
-def test_mistakes_of_loners():
+def test_mistakes_of_isolated():
     weights = labelled(np.ones((1000, 3)), np.ones((1000, 3)))
     with pytest.raises(InputError, match="share"):
         find_isolated(weights, share=1.0)

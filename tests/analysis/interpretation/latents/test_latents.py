@@ -12,7 +12,6 @@ from swarmssm import forces
 from swarmssm.analysis.interpretation.latents.alignment import (
     compare_latents,
     latent_force_alignment,
-    sentence,
 )
 from swarmssm.analysis.interpretation.latents.block_folds import Cells, block_folds
 from swarmssm.analysis.interpretation.latents.rotations import nearest_rotation, rotated_axes
@@ -148,28 +147,6 @@ def test_chance_is_told_as_often_as_it_is_said():
     assert np.sum(np.array(p) <= 0.1001) <= 8 + 5 * 2.7
 
 
-def test_words_say_what_the_numbers_do(rotated):
-    found, _ = rotated
-    text = sentence(found)
-    assert "cohesion 1.00 (-0.0" in text or "cohesion 1.00 (0.0" in text
-    assert "true forces" in text
-    assert "other trials" in text
-    assert "Training added to all of them." in text
-    assert "39 shifts" in text
-    nothing = found.copy()
-    nothing["source_p"] = xr.full_like(found["source_p"], 0.4)
-    nothing["untrained_r2"] = xr.ones_like(found["untrained_r2"])
-    text = sentence(nothing)
-    assert "None of it is more than chance gives (p from 0.4 upwards" in text
-    assert "this is not what was learned" in text
-    few = found.assign_attrs(least_p=0.25)
-    few["source_p"] = xr.full_like(found["source_p"], 0.25)
-    assert "cannot be told (p at the least 0.25" in sentence(few)
-    constant = found.copy()
-    constant["source_vector_r2"] = xr.full_like(found["source_vector_r2"], np.nan)
-    assert sentence(constant).startswith("None of the forces varied")
-
-
 def test_it_can_be_written(rotated, tmp_path):
     found, _ = rotated
     found.to_netcdf(tmp_path / "latents.nc")
@@ -270,7 +247,6 @@ def test_a_constructor_without_a_name_cannot_be_called_again(quick_fit, boids):
     assert untrained(lost, range(3)) == []
     found = latent_force_alignment(lost, boids.isel(time=slice(0, 40)), **QUICK)
     assert found.attrs["initializations"] == 0
-    assert "before training" not in sentence(found)
 
 
 def test_true_forces_are_those_of_the_simulation(quick_fit, boids):
@@ -322,7 +298,6 @@ def test_an_encoder_is_probed_like_any_other(quick_fit, boids):
     )
     assert (exact > 0.99).all()
     assert found["untrained_r2"].sel(source="latents").notnull().all()
-    assert "shares of the variance" in sentence(found)
 
 
 @pytest.mark.parametrize(("model", "guide"), [("graph-ssm", "markov"), ("linear", "linearized")])
