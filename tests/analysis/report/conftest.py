@@ -32,11 +32,18 @@ def planted_scores(**differences: tuple[float, ...]) -> xr.Dataset:
     return xr.Dataset(
         {
             "log_score": (("model", "origin", "horizon"), np.stack(values), {"units": "nat"}),
+            "crps": (("model", "origin", "horizon"), -np.stack(values), {"units": "cm"}),
+            "coverage": (
+                ("model", "origin", "horizon", "level"),
+                np.full((len(values), 60, 3, 1), 0.9),
+            ),
             "number": (("origin", "horizon"), np.full(first.shape, 5)),
+            "trained_on": ("model", [0] * len(names)),
         },
         {
             "model": names,
             "origin": np.arange(60),
+            "level": [0.9],
             "horizon": list(HORIZONS),
             "ahead": ("horizon", 0.1 * np.asarray(HORIZONS)),
             "trial": ("origin", ["a"] * 30 + ["b"] * 30),
@@ -57,7 +64,7 @@ def scores() -> Callable[..., xr.Dataset]:
 def flock(quick_fit: Fit, boids: xr.Dataset) -> Analysis:
     """An analysis of simulated boids but for the latents."""
     only = ["forces", "kernels", "force_maps", "influence"]
-    return analyze(quick_fit, boids, draws=2, only=only)
+    return analyze(quick_fit, boids, draws=2, only=only, part="all", scores=False)
 
 
 @pytest.fixture(scope="package")
