@@ -59,11 +59,7 @@ def test_each_figure_has_a_sentence_and_an_alternative_text(page):
     # A set with a factor of the direction has a third panel.
     drawn = re.findall(r'<svg [^>]*role="img"[^>]*aria-label="([^"]*)"', page)
     assert len(drawn) == 1 + 2 + 3 + 2 + 1
-<<<<<<< Updated upstream
     assert all(len(text) > 10 for text in drawn)
-=======
-    assert all(len(text) > 40 for text in drawn)
->>>>>>> Stashed changes
     assert "<li>The baselines are told nothing.</li>" in section(page, "scores")
     assert "<li>Simulated.</li>" in page
 
