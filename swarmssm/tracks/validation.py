@@ -1,5 +1,7 @@
 """Checking a dataset from anywhere against the schema of tracks."""
 
+import hashlib
+import weakref
 from collections.abc import Hashable
 from typing import Any
 
@@ -15,6 +17,10 @@ __all__ = ["MAX_COORDINATE", "SPACE_NAMES", "text_of", "validate_tracks"]
 SPACE_NAMES = ("x", "y", "z")
 MAX_COORDINATE = 1e12
 PLURALS = {"individuals": "individual", "keypoints": "keypoint", "neighbors": "neighbor"}
+
+#: What was checked: the dataset by its identity, and the digest of what it held then. A dataset can
+#: be changed in place, which the digest notices.
+_VALIDATED: dict[int, tuple[weakref.ref[xr.Dataset], bytes]] = {}
 
 
 def validate_tracks(dataset: xr.Dataset, where: str = "tracks") -> xr.Dataset:
@@ -34,13 +40,62 @@ def validate_tracks(dataset: xr.Dataset, where: str = "tracks") -> xr.Dataset:
 
     Returns
     -------
-    A new dataset; the given one is not changed.
+    A new dataset; the given one is not changed. A dataset that was checked before, followed the
+    schema, and was not changed since is returned as it is.
 
     Raises
     ------
     InputError
         In the words of the data, naming ``where``, the variable and the place.
     """
+    if not isinstance(dataset, xr.Dataset):
+        raise InputError(
+            f"{where}: tracks are a dataset, as swarmssm.io.read or swarmssm.tracks.make_tracks "
+            f"returns it, not {type(dataset).__name__}."
+        )
+    known, checked = _VALIDATED.get(id(dataset), (None, b""))
+    is_known = known is not None and known() is dataset
+    if is_known and _digest(dataset) == checked:
+        return dataset
+    validated = _validated(dataset, where)
+    digest = _digest(validated)
+    _remember(validated, digest)
+    # Nothing had to be changed: the given one need not be checked again either.
+    if _digest(dataset) == digest:
+        _remember(dataset, digest)
+    return validated
+
+
+def _remember(dataset: xr.Dataset, digest: bytes) -> None:
+    """Note that a dataset was checked, as long as it lives."""
+    key = id(dataset)
+    _VALIDATED[key] = (weakref.ref(dataset, lambda _: _VALIDATED.pop(key, None)), digest)
+
+
+def _digest(dataset: xr.Dataset) -> bytes:
+    """Return a digest of all that validation looks at."""
+    digest = hashlib.sha256()
+    own = ("fps", "time_unit", "unit", "source_software", "source_file")
+    attrs = {name: dataset.attrs.get(name) for name in own}
+    digest.update(repr((attrs, dict(dataset.sizes))).encode())
+    for name, variable in sorted(dataset.variables.items(), key=lambda item: str(item[0])):
+        units = variable.attrs.get("units")
+        about = [name, variable.dims, variable.dtype, bool(variable.encoding), units]
+        if name in ("position", "velocity", "adjacency") or name in dataset.dims:
+            values = variable.to_numpy()
+            # In validated tracks all are contiguous: of others no copy need be made to see that
+            # they differ.
+            about.append(values.flags.c_contiguous)
+            if values.dtype.kind in "OT":
+                about.append(values.tolist())
+            elif values.flags.c_contiguous:
+                digest.update(values.view(np.uint8).data)
+        digest.update(repr(about).encode())
+    return digest.digest()
+
+
+def _validated(dataset: xr.Dataset, where: str) -> xr.Dataset:
+    """Check a dataset against the schema; return it in our own order."""
     renames = {old: new for old, new in PLURALS.items() if old in dataset.dims}
     # How a file packed its numbers says nothing of how they are to be written again.
     dataset = dataset.rename(renames).drop_encoding()

@@ -446,3 +446,44 @@ def test_each_refusal_names_the_file_the_variable_and_the_place(dataset: xr.Data
     assert sentence in told
     assert told.startswith("a.nc: ")
     assert "\n" not in told
+
+
+def test_what_was_checked_is_not_checked_again():
+    given = movement(plural=False)
+    first = validate_tracks(given)
+    assert first is not given
+    assert validate_tracks(first) is first
+    # A dataset that follows the schema already, and is no result of the validation itself.
+    copied = first.copy(deep=True)
+    second = validate_tracks(copied)
+    assert second is not copied
+    assert not np.shares_memory(second["position"].values, copied["position"].values)
+    assert validate_tracks(copied) is copied
+
+
+@pytest.mark.parametrize("name", ["position", "time", "fps", "unit", "individual", "dims"])
+def test_what_was_changed_in_place_is_checked_again(name):
+    tracks = validate_tracks(movement(plural=False))
+    if name == "position":
+        tracks["position"].values[2, 0, 1] = np.nan
+        assert np.isnan(validate_tracks(tracks)["position"].values[2, :, 1]).all()
+        tracks["position"].values[2, 0, 1] = np.inf
+    elif name == "time":
+        tracks["time"] = tracks["time"].values[::-1]
+    elif name == "fps":
+        tracks.attrs["fps"] = -1.0
+    elif name == "unit":
+        tracks.attrs["unit"] = "furlong"
+        assert validate_tracks(tracks)["position"].attrs["units"] == "furlong"
+        return
+    elif name == "individual":
+        tracks["individual"] = ["a"] * tracks.sizes["individual"]
+    else:
+        tracks["position"] = tracks["position"].isel(space=0)
+    with pytest.raises(InputError):
+        validate_tracks(tracks)
+
+
+def test_only_a_dataset_is_tracks():
+    with pytest.raises(InputError, match=r"tracks are a dataset, .* not ndarray"):
+        validate_tracks(np.zeros((3, 2, 2)))
