@@ -8,6 +8,7 @@ import xarray as xr
 
 from swarmssm import metrics
 from swarmssm.tracks.dataset import Array, has_trials, observed, states_of, with_trials
+from swarmssm.tracks.jumps import find_jumps
 from swarmssm.tracks.kinematics import observed_runs
 
 __all__ = ["describe", "summarize"]
@@ -28,7 +29,8 @@ def summarize(tracks: xr.Dataset) -> dict[str, Any]:
     length), ``gaps`` (number) and ``longest_gap`` (frames), ``never_observed`` (labels),
     ``velocity`` and ``adjacency`` (whether they are there), ``edges`` (mean number an individual
     sees), ``speed`` (5, 50, 95 % quantiles, per second), ``polarization``, ``rotation``,
-    ``nearest_neighbor`` (medians or means over time), ``jumps`` (steps over ten times the median),
+    ``nearest_neighbor`` (medians or means over time), ``jumps`` (steps that look like
+    errors of tracking, see :mod:`swarmssm.tracks.jumps`),
     ``source_software``, ``source_file``, and ``truth`` (names of what a simulation attached).
     """
     whole = with_trials(tracks)
@@ -45,8 +47,6 @@ def summarize(tracks: xr.Dataset) -> dict[str, Any]:
     position, velocity = states[..., :half], states[..., half:]
     speed = metrics.speeds(velocity)
     known = speed[np.isfinite(speed)]
-    steps = np.linalg.norm(np.diff(position, axis=1), axis=-1)
-    steps = steps[np.isfinite(steps)]
     neighbor = metrics.nearest_neighbor_distance(position)
     present = max(int(sum(n * seen.shape[2] for n in lengths)), 1)
     labels = tracks["individual"].values
@@ -73,7 +73,7 @@ def summarize(tracks: xr.Dataset) -> dict[str, Any]:
         "polarization": _mean(metrics.polarization(velocity)),
         "rotation": _mean(metrics.rotation(position, velocity)),
         "nearest_neighbor": _median(neighbor),
-        "jumps": int((steps > 10 * np.median(steps)).sum()) if steps.size else 0,
+        "jumps": int(find_jumps(position).sum()),
         "source_software": str(tracks.attrs.get("source_software", "")),
         "source_file": str(tracks.attrs.get("source_file", "")),
         "truth": sorted(str(name) for name in whole.data_vars if name not in own),
@@ -110,7 +110,7 @@ def describe(summary: dict[str, Any]) -> list[tuple[str, str]]:
         if summary[name] is not None:
             rows.append((name, f"{summary[name]:.2f}"))
     if summary["jumps"]:
-        rows.append(("jumps", f"{summary['jumps']} steps over ten times the median"))
+        rows.append(("jumps", f"{summary['jumps']} steps that look like errors of tracking"))
     rows.append(("velocity", "in the file" if summary["velocity"] else "from differences"))
     graph = f"in the file, {summary['edges']:.3g} seen by each" if summary["adjacency"] else "none"
     rows.append(("graph", graph))
