@@ -57,8 +57,8 @@ def find_jumps(position: Array) -> npt.NDArray[np.bool_]:
     beside = np.where(returns, np.fmax(earlier2, later), beside)
     # Nothing beside it is known: nothing can be said.
     factor = np.where(steps > FAR_BEYOND_TOP * top, FAR_BEYOND_NEIGHBORS, BEYOND_NEIGHBORS)
-    stands_out: npt.NDArray[np.bool_] = steps > factor * beside
-    return stands_out & (steps > top)
+    jumps: npt.NDArray[np.bool_] = (steps > factor * beside) & (steps > top)
+    return jumps
 
 
 def _shifted(steps: Array, by: int) -> Array:
