@@ -21,9 +21,9 @@ import numpy as np
 import torch
 
 from swarmssm import inference
-from swarmssm.analysis.diagnostics.calibration.synthetic import (
+from swarmssm.analysis.diagnostics.sbc.simulated import (
     FixedModel,
-    SyntheticData,
+    SimulatedData,
     standard_scales,
 )
 from swarmssm.analysis.scoring import backtest
@@ -62,7 +62,7 @@ def model(priors: dict[str, str]) -> FixedModel:
 
 def one(number: int, options: argparse.Namespace) -> dict[str, object]:
     """Draw a data set, fit it, and return the coverage of its forecasts."""
-    data = SyntheticData(model(PRIORS), options.frames, INDIVIDUALS, 1, "complete")
+    data = SimulatedData(model(PRIORS), options.frames, INDIVIDUALS, 1, "complete")
     try:
         tracks, truth, _ = data.draw(number)
     except WorkError as error:

@@ -27,13 +27,13 @@ import xarray as xr
 from scipy import stats
 
 from swarmssm import inference, simulate
-from swarmssm.analysis.diagnostics.calibration.synthetic import (
-    FixedModel,
-    SyntheticData,
-    standard_scales,
-)
 from swarmssm.analysis.diagnostics.checks import check, sentence
 from swarmssm.analysis.diagnostics.checks.p_values import judge
+from swarmssm.analysis.diagnostics.sbc.simulated import (
+    FixedModel,
+    SimulatedData,
+    standard_scales,
+)
 from swarmssm.inference import Fit
 from swarmssm.inference.data import preparation_for
 from swarmssm.inference.run_folder import Builders, build_modules
@@ -105,7 +105,7 @@ def one_known(seed: int, options: argparse.Namespace) -> dict[str, Any]:
         standard_scales(INDIVIDUALS),
         {**LAW, "edges": "radius:2.0", "priors": {**START, **TRUTH}},
     )
-    tracks, _, _ = SyntheticData(model, 80, INDIVIDUALS, 1).draw(seed)
+    tracks, _, _ = SimulatedData(model, 80, INDIVIDUALS, 1).draw(seed)
     checked = check(
         known_fit(model, tracks),
         tracks,
@@ -126,7 +126,7 @@ def one_refit(seed: int, options: argparse.Namespace) -> dict[str, Any]:
         PRIORS,
         0.3,
     )
-    tracks, _, _ = SyntheticData(model, 200, INDIVIDUALS, 1).draw(seed)
+    tracks, _, _ = SimulatedData(model, 200, INDIVIDUALS, 1).draw(seed)
     fitted = inference.fit(model, tracks, guide="linearized", seed=seed, fractions=(0.7, 0.0, 0.3))
     checked = check(fitted, tracks, draws=options.draws, part="test", seed=seed + 1)
     return line(seed, checked)

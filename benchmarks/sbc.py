@@ -17,8 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from swarmssm.analysis.diagnostics.calibration.ranks import calibration_sentence
-from swarmssm.analysis.diagnostics.calibration.simulation import simulation_based_calibration
+from swarmssm.analysis.diagnostics.sbc.study import sbc
 from swarmssm.jobs import Progress
 
 PRIORS = {
@@ -65,7 +64,7 @@ def main() -> None:
         "priors": {**STARTS[options.start], "preferred_speed": 1.0},
     }
     own = smooth if options.law == "smooth" else {"priors": STARTS[options.start]}
-    found = simulation_based_calibration(
+    calibration = sbc(
         "boids",
         "linearized",
         datasets=options.datasets,
@@ -81,7 +80,8 @@ def main() -> None:
         model_options={**own, "edges": "radius:2.0"},
         priors={**PRIORS, **(SMOOTH if options.law == "smooth" else {})},
     )
-    print(f"\n{calibration_sentence(found)}\n")
+    print(f"\n{calibration.verdict()}\n")
+    found = calibration.data
     print("| | in the band | p | 50 % | 80 % | 90 % | 95 % | mean z | sd / truth |")
     print("|---|---|---|---|---|---|---|---|---|")
     for name in found["parameter"].values:

@@ -4,7 +4,6 @@ Of several functions of one name - each analysis has a ``sentence`` of its own -
 which is meant.
 """
 
-from swarmssm.analysis.diagnostics.calibration import simulation_based_calibration
 from swarmssm.analysis.diagnostics.checks import (
     STATISTICS,
     Statistic,
@@ -14,7 +13,8 @@ from swarmssm.analysis.diagnostics.checks import (
     one_step_pit,
 )
 from swarmssm.analysis.diagnostics.checks import sentence as check_sentence
-from swarmssm.analysis.diagnostics.recovery import recovery_study
+from swarmssm.analysis.diagnostics.recovery.study import recovery
+from swarmssm.analysis.diagnostics.sbc.study import sbc
 from swarmssm.analysis.interpretation.analyze import analyze
 from swarmssm.analysis.interpretation.forces import (
     force_agreement,
@@ -114,15 +114,15 @@ __all__ = [
     "posterior_forces",
     "posterior_paths",
     "raw_force_map",
-    "recovery_study",
+    "recovery",
     "report_analysis",
     "report_gathered",
     "report_run",
+    "sbc",
     "scenes_of",
     "score_intervals",
     "score_table",
     "scores_table",
-    "simulation_based_calibration",
     "skill",
     "to_inference_data",
     "true_forces",

@@ -12,7 +12,7 @@ from swarmssm import __version__
 from swarmssm.cli.analyzing import analyze
 from swarmssm.cli.animating import animate
 from swarmssm.cli.benchmarking import benchmark
-from swarmssm.cli.calibrating import calibrate
+from swarmssm.cli.calibrating import recovery, sbc
 from swarmssm.cli.checking import check
 from swarmssm.cli.comparing import compare
 from swarmssm.cli.demo import demo
@@ -59,7 +59,8 @@ app.command("benchmark")(benchmark)
 app.command("analyze")(analyze)
 app.command("gather")(gather)
 app.command("animate")(animate)
-app.command("calibrate")(calibrate)
+app.command("sbc")(sbc)
+app.command("recovery")(recovery)
 app.command("report")(report)
 
 

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from swarmssm.analysis.diagnostics.calibration.synthetic import FixedModel, standard_scales
+from swarmssm.analysis.diagnostics.sbc.simulated import FixedModel, standard_scales
 from swarmssm.inference.filtering.kalman import extended_kalman, last_filtered
 from swarmssm.inference.guides import LinearizedGuide
 from swarmssm.inference.guides.base import PathGuide

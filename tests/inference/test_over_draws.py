@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 import torch
 
-from swarmssm.analysis.diagnostics.calibration.synthetic import FixedModel, standard_scales
+from swarmssm.analysis.diagnostics.sbc.simulated import FixedModel, standard_scales
 from swarmssm.graphs import GraphRule
 from swarmssm.inference.guides import LinearizedGuide
 from swarmssm.inference.prediction import over_draws, seeded

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from swarmssm.analysis.diagnostics.calibration.parameter_names import short_name
+from swarmssm.analysis.diagnostics.sbc.parameter_names import short_name
 from swarmssm.analysis.plots.style import INDIVIDUALS, colour_of, legend_below, new_axes, new_grid
 
 __all__ = ["plot_calibration", "plot_coverage", "plot_ecdf_difference", "plot_rank_histograms"]
@@ -29,7 +29,7 @@ def plot_calibration(
     Parameters
     ----------
     calibration
-        From :func:`swarmssm.analysis.simulation_based_calibration`.
+        From :func:`swarmssm.analysis.sbc`.
     axes
         Two more than quantities; new ones if absent.
 
@@ -71,7 +71,7 @@ def plot_rank_histograms(
     Parameters
     ----------
     calibration
-        From :func:`swarmssm.analysis.simulation_based_calibration`.
+        From :func:`swarmssm.analysis.sbc`.
     axes
         As many as quantities; new ones if absent.
 
@@ -117,7 +117,7 @@ def plot_ecdf_difference(calibration: xr.Dataset, ax: Axes | None = None) -> tup
     Parameters
     ----------
     calibration
-        From :func:`swarmssm.analysis.simulation_based_calibration`.
+        From :func:`swarmssm.analysis.sbc`.
     ax
         Where to draw; new axes if absent.
     """
@@ -161,7 +161,7 @@ def plot_coverage(calibration: xr.Dataset, ax: Axes | None = None) -> tuple[Figu
     Parameters
     ----------
     calibration
-        From :func:`swarmssm.analysis.simulation_based_calibration`.
+        From :func:`swarmssm.analysis.sbc`.
     ax
         Where to draw; new axes if absent.
 

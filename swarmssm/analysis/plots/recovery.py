@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter
 
-from swarmssm.analysis.diagnostics.calibration.parameter_names import short_name
 from swarmssm.analysis.diagnostics.recovery.table import factor_curve, gains_of
+from swarmssm.analysis.diagnostics.sbc.parameter_names import short_name
 from swarmssm.analysis.plots.style import INDIVIDUALS, log_scale, new_grid
 from swarmssm.errors import InputError
 
@@ -40,7 +40,7 @@ def plot_recovery(
     Parameters
     ----------
     recovery
-        From :func:`swarmssm.analysis.recovery_study`. Of a grid each panel has the medians over all
+        From :func:`swarmssm.analysis.recovery`. Of a grid each panel has the medians over all
         combinations with the same value of its factor.
     axes
         As many as factors; new ones if absent.
@@ -91,11 +91,11 @@ def varied_factors(recovery: xr.Dataset) -> list[str]:
     Parameters
     ----------
     recovery
-        From :func:`swarmssm.analysis.recovery_study`.
+        From :func:`swarmssm.analysis.recovery`.
     """
     varied = dict.fromkeys(str(name) for name in recovery["factor"].values)
     if "grid" in varied:
-        return [name for name in TITLES if len(np.unique(recovery[name].dropna("setting"))) > 1]
+        return [name for name in TITLES if len(np.unique(recovery[name].dropna("design"))) > 1]
     return [name for name in varied if name != "base"]
 
 
@@ -105,7 +105,7 @@ def _over_grid(recovery: xr.Dataset, factor: str) -> xr.Dataset:
     known = np.unique(values[np.isfinite(values)])
     medians = {}
     for name in ("error", "width"):
-        own = recovery[name].transpose("setting", "parameter").to_numpy()
+        own = recovery[name].transpose("design", "parameter").to_numpy()
         rows = [own[values == value] for value in known]
         medians[name] = (
             (factor, "parameter"),

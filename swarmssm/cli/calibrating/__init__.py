@@ -1,5 +1,5 @@
-"""``swarmssm calibrate``: how far a fit can be trusted, told by data whose truth is known."""
+"""``swarmssm sbc`` and ``swarmssm recovery``: how far a fit can be trusted, by simulated data."""
 
-from swarmssm.cli.calibrating.command import calibrate
+from swarmssm.cli.calibrating.commands import recovery, sbc
 
-__all__ = ["calibrate"]
+__all__ = ["recovery", "sbc"]

@@ -11,8 +11,8 @@ import arviz
 import numpy as np
 import xarray as xr
 
-from swarmssm.analysis.diagnostics.calibration.ranks import calibration_of_ranks
 from swarmssm.analysis.diagnostics.checks.pit import RANKS, ranks_of
+from swarmssm.analysis.diagnostics.sbc.ranks import calibration_of_ranks
 from swarmssm.analysis.posterior.foresight import predict_one_step
 from swarmssm.analysis.scoring.subject import subject_of
 from swarmssm.errors import InputError

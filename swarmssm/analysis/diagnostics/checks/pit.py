@@ -14,7 +14,7 @@ import numpy.typing as npt
 import scipy.special
 import xarray as xr
 
-from swarmssm.analysis.diagnostics.calibration.ranks import calibration_of_ranks
+from swarmssm.analysis.diagnostics.sbc.ranks import calibration_of_ranks
 from swarmssm.analysis.scoring.forecasters import ModelForecaster
 from swarmssm.analysis.scoring.subject import Subject, subject_of
 from swarmssm.analysis.scoring.table import format_number

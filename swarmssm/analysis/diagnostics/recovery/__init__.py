@@ -1,17 +1,6 @@
-"""How many data it takes to find the parameters again."""
+"""Recovery of known parameters: how much data it takes, and how good."""
 
-from swarmssm.analysis.diagnostics.recovery.settings import Setting
-from swarmssm.analysis.diagnostics.recovery.study import recovery_study
-from swarmssm.analysis.diagnostics.recovery.table import (
-    recovery_needs,
-    recovery_sentence,
-    recovery_table,
-)
+from swarmssm.analysis.diagnostics.recovery.designs import Design
+from swarmssm.analysis.diagnostics.recovery.table import Recovery
 
-__all__ = [
-    "Setting",
-    "recovery_needs",
-    "recovery_sentence",
-    "recovery_study",
-    "recovery_table",
-]
+__all__ = ["Design", "Recovery"]

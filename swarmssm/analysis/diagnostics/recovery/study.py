@@ -1,4 +1,4 @@
-"""How many data, and how good, it takes to find the parameters of a model again."""
+"""Recovery study: fits of simulated data with known parameters, over several designs."""
 
 import json
 import math
@@ -15,29 +15,31 @@ import xarray as xr
 from scipy import stats
 
 from swarmssm import inference
-from swarmssm.analysis.diagnostics.calibration.parameter_names import named_draws, named_numbers
-from swarmssm.analysis.diagnostics.calibration.synthetic import (
+from swarmssm.analysis.diagnostics.recovery.designs import (
+    FACTORS,
+    Design,
+    designs_of,
+    titles_of,
+    varied_values,
+)
+from swarmssm.analysis.diagnostics.recovery.table import Recovery
+from swarmssm.analysis.diagnostics.sbc.parameter_names import named_draws, named_numbers
+from swarmssm.analysis.diagnostics.sbc.simulated import (
     UNIFORM_SIDE,
     FixedModel,
     standard_scales,
 )
-from swarmssm.analysis.diagnostics.recovery.settings import (
-    FACTORS,
-    Setting,
-    settings_of,
-    titles_of,
-    varied_values,
-)
+from swarmssm.analysis.diagnostics.studies import check_whole, failures, name_of, run_study
 from swarmssm.errors import InputError, WorkError
 from swarmssm.graphs import GraphRule
 from swarmssm.inference.guides.parameters import GlobalGuide
-from swarmssm.jobs import Progress, Row, parallel_map
+from swarmssm.jobs import Progress, Row
 from swarmssm.models import ObservedEdges, Scales, StateSpaceModel, find_model
 from swarmssm.models.parameters import priors_of
 from swarmssm.models.registry import options_of
 from swarmssm.tracks import MAX_COORDINATE, Array, make_tracks
 
-__all__ = ["recovery_study"]
+__all__ = ["recovery"]
 
 #: Truths of parameters of these names where neither scales nor values say what is typical.
 TYPICAL = {"cohesion_gain": 0.6, "separation_gain": 0.15, "alignment_gain": 0.8}
@@ -48,11 +50,11 @@ NOISE = "emission.noise"
 
 @dataclass(frozen=True)
 class _Recover:
-    """Simulate one data set of a setting, and fit it as a user would."""
+    """Simulate one data set of a design, and fit it as a user would."""
 
     model: str | Callable[..., Any]
     guide: str | Callable[..., Any]
-    settings: tuple[Setting, ...]
+    designs: tuple[Design, ...]
     repeats: int
     scales: Scales | None
     values: Mapping[str, float]
@@ -68,15 +70,15 @@ class _Recover:
 
     def _row(self, index: int) -> Row:
         """Simulate and fit."""
-        setting = self.settings[index // self.repeats]
-        entropy = [self.seed, *setting.digits, index % self.repeats]
+        design = self.designs[index // self.repeats]
+        entropy = [self.seed, *design.digits, index % self.repeats]
         first, second = np.random.SeedSequence(entropy).generate_state(2).tolist()
         try:
-            tracks, truth = self.simulate(setting, first)
+            tracks, truth = self.simulate(design, first)
         except WorkError as error:
             return {"failed": f"simulation: {error}"}
         began = time.process_time()
-        options, graph = self.edges(setting)
+        options, graph = self.edges(design)
         own = {**self.fit, "model_options": options}
         if graph is not None:
             own["graph"] = graph
@@ -100,10 +102,10 @@ class _Recover:
                 row["low"][own_name], row["high"][own_name] = float(low), float(high)
         return {**row, "seconds": time.process_time() - began}
 
-    def edges(self, setting: Setting) -> tuple[dict[str, Any], str | None]:
+    def edges(self, design: Design) -> tuple[dict[str, Any], str | None]:
         """Return the model's options and the graph of the data, which say who sees whom."""
         options = dict(self.fit.get("model_options", {}))
-        rule = self.graph if setting.radius is None else f"radius:{setting.radius!r}"
+        rule = self.graph if design.radius is None else f"radius:{design.radius!r}"
         if rule is None or "edges" in options:
             return options, None
         # The graph of the hidden states where the model can have it: that of noisy sightings is
@@ -112,15 +114,15 @@ class _Recover:
             return {**options, "edges": rule}, None
         return options, rule
 
-    def truth(self, setting: Setting) -> tuple[StateSpaceModel, dict[str, torch.Tensor], Scales]:
+    def truth(self, design: Design) -> tuple[StateSpaceModel, dict[str, torch.Tensor], Scales]:
         """Return the model, the values of all parameters with a prior, and the scales."""
-        options, _ = self.edges(setting)
-        scales = _scales(setting, self.scales)
+        options, _ = self.edges(design)
+        scales = _scales(design, self.scales)
         model = FixedModel(self.model, scales, options, self.fit.get("priors", {}))().double()
         names = priors_of(model)
         given = {**({} if self.scales else _known(TYPICAL, names)), **_full(self.values, names)}
         if NOISE in names:
-            given[NOISE] = setting.noise
+            given[NOISE] = design.noise
         # What no one says is typical: as the prior has it.
         middle = _medians(model)
         values = {
@@ -131,10 +133,10 @@ class _Recover:
         }
         return model, values, scales
 
-    def simulate(self, setting: Setting, seed: int) -> tuple[xr.Dataset, dict[str, torch.Tensor]]:
+    def simulate(self, design: Design, seed: int) -> tuple[xr.Dataset, dict[str, torch.Tensor]]:
         """Return tracks of positions with noise, and the true values."""
-        model, values, scales = self.truth(setting)
-        _, graph = self.edges(setting)
+        model, values, scales = self.truth(design)
+        _, graph = self.edges(design)
         space = scales.space
         if model.state_dim != 2 * space:
             raise InputError(
@@ -142,12 +144,12 @@ class _Recover:
                 f"given density they must be positions and velocities, {2 * space} of them."
             )
         drawn = model.simulate(
-            setting.frames,
-            setting.individuals,
-            num_windows=setting.trials,
+            design.frames,
+            design.individuals,
+            num_windows=design.trials,
             values=values,
             graph=(graph or "complete") if isinstance(model.edges, ObservedEdges) else None,
-            first=_first(setting, scales, seed),
+            first=_first(design, scales, seed),
             seed=seed,
         )
         seen = drawn.observations.numpy()[..., :space]
@@ -156,12 +158,12 @@ class _Recover:
         return make_tracks(seen, fps=1.0 / scales.dt, source_software="swarmssm"), values
 
 
-def recovery_study(
+def recovery(
     model: str | Callable[..., Any] = "boids",
     guide: str | Callable[..., Any] = "auto",
     *,
     factors: Mapping[str, Sequence[float]] | Sequence[str] | None = None,
-    base: Setting | None = None,
+    base: Design | None = None,
     grid: bool = False,
     datasets: int = 5,
     values: Mapping[str, float] | None = None,
@@ -174,13 +176,12 @@ def recovery_study(
     resume: bool = False,
     progress: Callable[[Progress], None] | None = None,
     **settings: Any,
-) -> xr.Dataset:
-    """Find known parameters again, from data sets of many kinds.
+) -> Recovery:
+    """Estimate known parameters from simulated data sets of several designs.
 
-    One factor after the other is varied around a base setting (or all of them, in a grid); of each
-    setting some data sets are simulated by the model itself and fitted as a user would, who knows
-    positions with noise and the rule of who sees whom, and takes the priors that follow from
-    these positions.
+    One factor after the other is varied around a base design (or all of them, in a grid). For each
+    design some data sets are simulated from the model and fitted as a user would, who knows
+    positions with noise and the neighbourhood rule, with the default priors of these positions.
 
     Parameters
     ----------
@@ -190,80 +191,76 @@ def recovery_study(
         Name -> values, or names alone for multiples of the base. Names are ``individuals``,
         ``density``, ``radius``, ``noise``, ``frames`` and ``trials``; absent, all but trials.
     base
-        The setting around which they are varied.
+        The design around which they are varied.
     grid
         Every combination of the values, instead of one factor at a time.
     datasets
-        In each setting.
+        Data sets of each design.
     values
-        True values by name, with or without ``transition.``; others are the medians of the priors
-        that the model takes from the scales. Without scales, cohesion, separation and alignment
-        are 0.6, 0.15 and 0.8.
+        True values by name, with or without ``transition.``; others are the medians of the model's
+        default priors at the scales. Without scales, cohesion, separation and alignment are 0.6,
+        0.15 and 0.8.
     scales
-        Of the tracks that are like those of interest; absent,
-        :func:`~swarmssm.analysis.diagnostics.calibration.synthetic.standard_scales`. The number of
-        individuals, the noise and, where it is varied, the density of the setting take the
-        place of theirs.
+        For instance those of a recording; absent,
+        :func:`~swarmssm.analysis.diagnostics.sbc.simulated.standard_scales`. The number of
+        individuals, the noise and, where it is varied, the density of the design replace theirs.
     graph
-        Rule of who sees whom in a base without radius.
+        Neighbourhood rule of a base without radius.
     tolerance
-        Relative error that is asked for.
+        Relative error that is aimed at.
     seed, processes, out, resume, progress
-        As in :func:`~swarmssm.analysis.simulation_based_calibration`.
+        As in :func:`~swarmssm.analysis.sbc`.
     **settings
         Of :func:`swarmssm.inference.fit`.
 
     Returns
     -------
-    Dataset with dimensions ``setting``, ``parameter`` and ``dataset``:
+    Its ``data`` have the dimensions ``design``, ``parameter`` and ``dataset``:
 
     ``truth``, ``median``, ``sd``, ``low``, ``high``
         Of each data set; the last ones the ends of the central 90 % interval. NaN where it failed.
-    ``error (setting, parameter)``, ``bias``
+    ``error (design, parameter)``, ``bias``
         Median over data sets of the relative error's size, and mean of the deviation from the
         truth relative to the truth's size (of the middle of a box, to half its width).
-    ``width (setting, parameter)``
+    ``width (design, parameter)``
         Median of half the 90 % interval, relative to the truth.
     ``coverage``, ``coverage_low``, ``coverage_high``
         Share of intervals that hold the truth, and its exact binomial 95 % interval.
-    ``frames_needed (setting, parameter)``
+    ``frames_needed (design, parameter)``
         Frames of each trial at which the posterior's standard deviation would fall to the
         tolerance, if it falls with the square root of their number.
-    ``factor (setting)``, ``value (setting)``
-        What is varied, and to what (``base`` and NaN for the base itself); the setting in full
-        stands in coordinates named after the factors.
+    ``factor (design)``, ``value (design)``
+        What is varied, and its value (``base`` and NaN for the base itself); the whole design is in
+        coordinates named after the factors.
 
     Raises
     ------
     InputError
-        If an argument is wrong, or ``out`` does not fit.
+        If an argument is invalid, or ``out`` has other settings.
     WorkError
         If all data sets fail, or nothing can be written.
     """
-    for name, value in (("datasets", datasets), ("seed", seed)):
-        least = 1 if name == "datasets" else 0
-        if isinstance(value, bool) or not isinstance(value, int) or value < least:
-            raise InputError(f"{name}: it must be a whole number from {least}, not {value!r}.")
+    check_whole("datasets", datasets, 1)
+    check_whole("seed", seed, 0)
     if not 0.0 < tolerance < math.inf:
         raise InputError(f"tolerance: it must be above 0, and it is {tolerance!r}.")
     if graph is not None:
         GraphRule.parse(graph)
-    base = Setting() if base is None else base
+    base = Design() if base is None else base
     if base.radius is None and graph is None and "edges" not in settings.get("model_options", {}):
-        raise InputError("graph: without a radius in the base it must say who sees whom.")
+        raise InputError("graph: it must be given where the base has no radius.")
     varied = varied_values(factors, base)
-    labels, chosen = settings_of(varied, base, grid)
+    labels, chosen = designs_of(varied, base, grid)
     work = _Recover(
         model, guide, tuple(chosen), datasets, scales, dict(values or {}), graph, settings, seed
     )
     for own in chosen:
         _check_truth(work, own)
-    name = model if isinstance(model, str) else getattr(model, "__qualname__", repr(model))
-    told = {
+    metadata = {
         "study": "recovery",
-        "model": name,
-        "guide": guide if isinstance(guide, str) else getattr(guide, "__qualname__", repr(guide)),
-        "settings": [asdict(own) for own in chosen],
+        "model": name_of(model),
+        "guide": name_of(guide),
+        "designs": [asdict(own) for own in chosen],
         "datasets": datasets,
         "values": dict(values or {}),
         "scales": None if scales is None else scales.to_dict(),
@@ -271,24 +268,24 @@ def recovery_study(
         "seed": seed,
         "fit": settings,
     }
-    rows = parallel_map(
+    rows = run_study(
         work,
-        range(len(chosen) * datasets),
-        settings=told,
+        len(chosen) * datasets,
+        metadata,
         out=out,
         resume=resume,
         processes=processes,
         progress=progress,
     )
-    return _gather(rows, labels, chosen, datasets, tolerance, told)
+    return Recovery(_labelled(rows, labels, chosen, datasets, tolerance, metadata))
 
 
-def _scales(setting: Setting, scales: Scales | None) -> Scales:
-    """Return the scales of a setting: of its size, its noise and its density."""
+def _scales(design: Design, scales: Scales | None) -> Scales:
+    """Return the scales of a design: of its size, its noise and its density."""
     space = 2 if scales is None else scales.space
-    side = (setting.individuals / setting.density) ** (1.0 / space)
+    side = (design.individuals / design.density) ** (1.0 / space)
     if scales is None:
-        standard = standard_scales(setting.individuals, noise=setting.noise)
+        standard = standard_scales(design.individuals, noise=design.noise)
         # The box leaves the room that a group takes that spreads a little.
         half = side
         return replace(
@@ -296,19 +293,19 @@ def _scales(setting: Setting, scales: Scales | None) -> Scales:
             low=(-half,) * space,
             high=(half,) * space,
             length=2.0 * half / UNIFORM_SIDE,
-            spacing=0.5 * setting.density ** (-1.0 / space),
+            spacing=0.5 * design.density ** (-1.0 / space),
         )
-    return replace(scales, individuals=setting.individuals, noise=setting.noise)
+    return replace(scales, individuals=design.individuals, noise=design.noise)
 
 
-def _first(setting: Setting, scales: Scales, seed: int) -> torch.Tensor:
+def _first(design: Design, scales: Scales, seed: int) -> torch.Tensor:
     """Draw first states: uniform at the density, headings about a common one for each trial."""
     rng = np.random.default_rng([seed, 1])
     space = scales.space
-    side = (setting.individuals / setting.density) ** (1.0 / space)
-    shape = (setting.trials, setting.individuals)
+    side = (design.individuals / design.density) ** (1.0 / space)
+    shape = (design.trials, design.individuals)
     position = np.array(scales.centre) + side * (rng.random((*shape, space)) - 0.5)
-    common = rng.standard_normal((setting.trials, 1, space))
+    common = rng.standard_normal((design.trials, 1, space))
     common /= np.linalg.norm(common, axis=-1, keepdims=True)
     spread = math.tan(HEADINGS / 2.0) * rng.standard_normal((*shape, space))
     heading = common + spread
@@ -323,11 +320,11 @@ def _medians(model: StateSpaceModel) -> dict[str, torch.Tensor]:
     return {name: value.double() for name, value in GlobalGuide(model, "normal").median().items()}
 
 
-def _check_truth(work: _Recover, setting: Setting) -> None:
-    """Refuse names and values that the model does not have, before any work is done."""
-    model, values, _ = work.truth(setting)
+def _check_truth(work: _Recover, design: Design) -> None:
+    """Check names and values of parameters before any work is done."""
+    model, values, _ = work.truth(design)
     if not values:
-        raise InputError("model: it has no parameter with a prior to be found again.")
+        raise InputError("model: it has no parameter with a prior to estimate.")
     model._given(values)
 
 
@@ -340,7 +337,7 @@ def _full(values: Mapping[str, float], names: Sequence[str]) -> dict[str, float]
             listed = ", ".join(mine or names)
             raise InputError(
                 f"values: {name} is the name of {'no' if not mine else 'more than one'} parameter "
-                f"with a prior. {'Choose' if mine else 'Those there are'}: {listed}."
+                f"with a prior. Choose one of {listed}."
             )
         found[mine[0]] = value
     return found
@@ -361,20 +358,17 @@ def _arguments(model: str | Callable[..., Any]) -> set[str]:
     return set(options_of(find_model(model)))
 
 
-def _gather(
+def _labelled(
     rows: Sequence[Row],
     labels: Sequence[tuple[str, float]],
-    settings: Sequence[Setting],
+    designs: Sequence[Design],
     datasets: int,
     tolerance: float,
-    told: Mapping[str, Any],
+    metadata: Mapping[str, Any],
 ) -> xr.Dataset:
     """Return the labelled study."""
-    good = next((row for row in rows if "failed" not in row), None)
-    if good is None:
-        raise WorkError(f"All {len(rows)} data sets failed, the first one so: {rows[0]['failed']}")
-    names = list(good["truth"])
-    shape = (len(settings), len(names), datasets)
+    names = list(next(row for row in rows if "failed" not in row)["truth"])
+    shape = (len(designs), len(names), datasets)
     table = {part: np.full(shape, np.nan) for part in ("truth", "median", "sd", "low", "high")}
     for index, row in enumerate(rows):
         if "failed" not in row:
@@ -385,7 +379,7 @@ def _gather(
     size = _sizes(names, table["truth"])
     relative = (table["median"] - table["truth"]) / size
     hits = ((table["low"] <= table["truth"]) & (table["truth"] <= table["high"])).sum(-1)
-    frames = np.array([own.frames for own in settings])[:, None]
+    frames = np.array([own.frames for own in designs])[:, None]
     data = {
         "error": (_median(np.abs(relative)), "median of the relative error's size"),
         "bias": (_mean(relative), "mean deviation from the truth, relative to its size"),
@@ -407,7 +401,7 @@ def _gather(
             "frames a trial for a standard deviation of the tolerance",
         ),
     }
-    dims = ("setting", "parameter")
+    dims = ("design", "parameter")
     found = xr.Dataset(
         {
             **{n: (dims, v, {"long_name": title, "units": "1"}) for n, (v, title) in data.items()},
@@ -416,26 +410,23 @@ def _gather(
         {
             "parameter": names,
             "dataset": np.arange(datasets),
-            "factor": ("setting", [name for name, _ in labels]),
-            "value": ("setting", [value for _, value in labels]),
-            "label": ("setting", titles_of(labels, settings)),
-            "fitted": ("setting", number.max(-1)),
+            "factor": ("design", [name for name, _ in labels]),
+            "value": ("design", [value for _, value in labels]),
+            "label": ("design", titles_of(labels, designs)),
+            "fitted": ("design", number.max(-1)),
             **{
                 name: (
-                    "setting",
-                    [math.nan if (v := getattr(s, name)) is None else v for s in settings],
+                    "design",
+                    [math.nan if (v := getattr(s, name)) is None else v for s in designs],
                 )
                 for name in FACTORS
             },
         },
     )
-    failed = [str(row["failed"]) for row in rows if "failed" in row]
-    reasons = sorted({reason: failed.count(reason) for reason in failed}.items())
     found.attrs = {
         "tolerance": tolerance,
-        "failed": len(failed),
-        "failures": "; ".join(f"{count} x {reason}" for reason, count in reasons),
-        "settings": json.dumps(told, default=str),
+        **failures(rows),
+        "settings": json.dumps(metadata, default=str),
     }
     return found
 
@@ -453,7 +444,7 @@ def _mean(values: Any) -> Any:
 
 
 def _sizes(names: list[str], truth: Array) -> Array:
-    """Return what errors are relative to, ``(setting, parameter, dataset)``.
+    """Return what errors are relative to, ``(design, parameter, dataset)``.
 
     That is the truth, of which 0 has no relative error; of the middle of a box, whose own numbers
     depend on where the origin is, half the box's width.

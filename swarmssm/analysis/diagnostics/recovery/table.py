@@ -1,73 +1,96 @@
-"""What a recovery study tells: which errors, and how much data they take."""
+"""Result of a recovery study: errors of the parameters, and how much data they take."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 
-from swarmssm.analysis.diagnostics.calibration.parameter_names import short_name
+from swarmssm.analysis.diagnostics.sbc.parameter_names import short_name
 
-__all__ = ["factor_curve", "gains_of", "recovery_needs", "recovery_sentence", "recovery_table"]
+__all__ = ["Recovery", "factor_curve", "gains_of"]
 
-#: What is equal but for rounding is within the tolerance.
+#: Equal but for rounding counts as within the tolerance.
 ROUNDING = 1.0 + 1e-9
 
 
-def recovery_table(recovery: xr.Dataset) -> list[dict[str, object]]:
-    """Return what a user needs to know: for each factor, from where on each parameter is found.
+@dataclass(frozen=True)
+class Recovery:
+    """Result of :func:`~swarmssm.analysis.recovery`.
 
-    Parameters
+    Attributes
     ----------
-    recovery
-        From :func:`recovery_study`.
-
-    Returns
-    -------
-    A row for each setting: ``factor``, ``value``, and for each parameter a text with its median
-    relative error and half the 90 % interval, in percent, with a mark where the error is beyond the
-    tolerance; then ``frames`` needed for the worst of them.
+    data
+        Truths, estimates and errors, with dimensions ``design``, ``parameter`` and ``dataset``.
     """
-    tolerance = float(recovery.attrs["tolerance"])
-    rows: list[dict[str, object]] = []
-    for index in range(recovery.sizes["setting"]):
-        one = recovery.isel(setting=index)
-        row: dict[str, object] = {"setting": str(one["label"].item())}
-        for name in recovery["parameter"].values:
-            own = one.sel(parameter=name)
-            error, width = float(own["error"]), float(own["width"])
-            mark = "" if error <= tolerance * ROUNDING else " !"
-            row[short_name(str(name))] = (
-                f"{100 * error:.0f} % ±{100 * width:.0f} %{mark}" if error == error else "-"
-            )
-        rows.append(row)
-    return rows
 
+    data: xr.Dataset
 
-def recovery_needs(recovery: xr.Dataset) -> list[dict[str, object]]:
-    """Return, for each factor, at which of its values each parameter is within the tolerance.
+    def summary(self) -> pd.DataFrame:
+        """Return a row for each design and parameter.
 
-    Parameters
-    ----------
-    recovery
-        From :func:`recovery_study`, one factor at a time.
+        Columns are the median relative ``error``, ``width`` (half the 90 % interval, relative to
+        the truth), ``coverage`` of 90 % intervals, ``within_tolerance`` and ``frames_needed``.
+        """
+        names = ["error", "width", "coverage", "frames_needed"]
+        labelled = self.data[names].assign_coords(design=self.data["label"].to_numpy())
+        frame = labelled.to_dataframe()[names]
+        frame["within_tolerance"] = frame["error"] <= self._tolerance * ROUNDING
+        return frame
 
-    Returns
-    -------
-    A row for each factor with a text for each parameter: ``"100 or more"``, ``"0.03 or less"``,
-    ``"all tried"``, ``"none tried"``, or the values where it holds.
-    """
-    tolerance = float(recovery.attrs["tolerance"])
-    rows: list[dict[str, object]] = []
-    for factor in dict.fromkeys(str(name) for name in recovery["factor"].values):
-        if factor in ("base", "grid"):
-            continue
-        curve = factor_curve(recovery, factor)
-        row: dict[str, object] = {"factor": factor}
-        for name in recovery["parameter"].values:
-            good = curve["error"].sel(parameter=name).to_numpy() <= tolerance * ROUNDING
-            row[short_name(str(name))] = _where(curve[factor].to_numpy(), good)
-        rows.append(row)
-    return rows
+    def to_pandas(self) -> pd.DataFrame:
+        """Return a row for each design, parameter and data set: truth, median and interval."""
+        names = ["truth", "median", "sd", "low", "high"]
+        return self.data[names].to_dataframe().reset_index()
+
+    def sufficient(self) -> pd.DataFrame:
+        """Return, for each factor, at which of its values each parameter is within the tolerance.
+
+        A row for each varied factor, a column for each parameter: ``"100 or more"``,
+        ``"0.03 or less"``, ``"all"``, ``"none"``, or the values. Empty for a grid.
+        """
+        rows = {}
+        for factor in dict.fromkeys(str(name) for name in self.data["factor"].values):
+            if factor not in ("base", "grid"):
+                curve = factor_curve(self.data, factor)
+                rows[factor] = {
+                    short_name(str(name)): _where(
+                        curve[factor].to_numpy(),
+                        curve["error"].sel(parameter=name).to_numpy() <= self._tolerance * ROUNDING,
+                    )
+                    for name in self.data["parameter"].values
+                }
+        return pd.DataFrame.from_dict(rows, orient="index").rename_axis("factor")
+
+    def verdict(self) -> str:
+        """Return in one line whether the base design recovers the gains, and what it would take."""
+        first = self.data.isel(design=0).sel(parameter=gains_of(self.data))
+        error = first["error"].to_numpy()
+        if not np.isfinite(error).any():
+            return "No data set of the base design could be fitted."
+        worst = int(np.nanargmax(error))
+        what = "gains" if "_gain" in str(first["parameter"].values[0]) else "parameters"
+        size = (
+            f"{int(first['trials'])} x {int(first['frames'])} frames of "
+            f"{int(first['individuals'])} individuals, tracking noise {float(first['noise']):.2g}"
+        )
+        share = f"{100 * self._tolerance:.0f} %"
+        recovered = np.nanmax(error) <= self._tolerance * ROUNDING
+        needed = first["frames_needed"].to_numpy()
+        frames = f"{int(np.nanmax(needed))}" if np.isfinite(needed).any() else "unknown"
+        return (
+            f"{'All' if recovered else 'Not all'} {what} are recovered to within {share} ({size}): "
+            f"largest median error {100 * error[worst]:.0f} % "
+            f"({short_name(str(first['parameter'].values[worst]))}, "
+            f"{int(first['fitted'])} data sets), coverage of 90 % intervals "
+            f"{100 * float(first['coverage'].mean()):.0f} %; a posterior standard deviation of "
+            f"{share} takes about {frames} frames a trial."
+        )
+
+    @property
+    def _tolerance(self) -> float:
+        return float(self.data.attrs["tolerance"])
 
 
 def gains_of(recovery: xr.Dataset) -> list[str]:
@@ -77,56 +100,18 @@ def gains_of(recovery: xr.Dataset) -> list[str]:
 
 
 def factor_curve(recovery: xr.Dataset, factor: str) -> xr.Dataset:
-    """Return the settings in which a factor is varied, the base among them, by its value."""
+    """Return the designs in which a factor is varied, the base among them, by its value."""
     mine = np.isin(recovery["factor"].to_numpy().astype(str), [factor, "base"])
-    chosen = recovery.isel(setting=np.flatnonzero(mine))
-    return chosen.isel(setting=np.argsort(chosen[factor].to_numpy(), kind="stable"))
-
-
-def recovery_sentence(recovery: xr.Dataset) -> str:
-    """Return what a study says, in one or two plain sentences.
-
-    Parameters
-    ----------
-    recovery
-        From :func:`recovery_study`.
-    """
-    tolerance = float(recovery.attrs["tolerance"])
-    first = recovery.isel(setting=0)
-    names = gains_of(recovery)
-    own = first.sel(parameter=names)
-    error = own["error"].to_numpy()
-    if not np.isfinite(error).any():
-        return "No data set of the base setting could be fitted."
-    worst = int(np.nanargmax(error))
-    needed = int(np.nanmax(own["frames_needed"].to_numpy()))
-    count = int(first["fitted"].item())
-    where = (
-        f"With {int(first['frames'])} frames of {int(first['individuals'])} individuals in "
-        f"{int(first['trials'])} trials and a tracking noise of {float(first['noise']):.2g}"
-    )
-    what = "gains are" if "_gain" in names[0] else "parameters are"
-    verdict = (
-        f"all {what} found to within {100 * tolerance:.0f} %"
-        if error.max() <= tolerance * ROUNDING
-        else f"{what} not all found to within {100 * tolerance:.0f} %"
-    )
-    coverage = float(own["coverage"].mean())
-    return (
-        f"{where}, {verdict}: the median error is largest for {short_name(names[worst])}, "
-        f"{100 * error[worst]:.0f} % over {count} simulated data sets, and 90 % intervals hold the "
-        f"truth in {100 * coverage:.0f} % of cases. For a standard deviation of "
-        f"{100 * tolerance:.0f} % in each, about "
-        f"{needed} frames a trial are needed."
-    )
+    chosen = recovery.isel(design=np.flatnonzero(mine))
+    return chosen.isel(design=np.argsort(chosen[factor].to_numpy(), kind="stable"))
 
 
 def _where(values: Any, good: Any) -> str:
-    """Say at which values something holds."""
+    """Return at which values something holds, in words."""
     if good.all():
-        return "all tried"
+        return "all"
     if not good.any():
-        return "none tried"
+        return "none"
     shown = [f"{value:.4g}" for value in values]
     first, last = int(np.argmax(good)), len(good) - 1 - int(np.argmax(good[::-1]))
     if good[first:].all():

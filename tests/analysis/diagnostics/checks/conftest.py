@@ -5,9 +5,9 @@ import pytest
 import torch
 import xarray as xr
 
-from swarmssm.analysis.diagnostics.calibration.synthetic import (
+from swarmssm.analysis.diagnostics.sbc.simulated import (
     FixedModel,
-    SyntheticData,
+    SimulatedData,
     standard_scales,
 )
 from swarmssm.inference import Fit
@@ -38,7 +38,7 @@ def flock() -> tuple[Fit, xr.Dataset]:
     model = FixedModel(
         "boids", standard_scales(5), {**options, "edges": "radius:2.0", "priors": priors}
     )
-    tracks, _, _ = SyntheticData(model, 40, 5, 1).draw(3)
+    tracks, _, _ = SimulatedData(model, 40, 5, 1).draw(3)
     settings, own, guide = build_modules(
         settings_from({"model": "boids", "guide": "linearized"}),
         model.scales,

@@ -1,21 +1,16 @@
-"""Recovery studies: settings, errors worked by hand, and what a user is told."""
+"""Recovery studies: designs, errors worked by hand, and what a user is told."""
 
 import numpy as np
 import pytest
 import xarray as xr
 
 from swarmssm.analysis.diagnostics.recovery import study as module
-from swarmssm.analysis.diagnostics.recovery.settings import Setting, settings_of, varied_values
-from swarmssm.analysis.diagnostics.recovery.study import recovery_study
-from swarmssm.analysis.diagnostics.recovery.table import (
-    factor_curve,
-    recovery_needs,
-    recovery_sentence,
-    recovery_table,
-)
+from swarmssm.analysis.diagnostics.recovery.designs import Design, designs_of, varied_values
+from swarmssm.analysis.diagnostics.recovery.study import recovery
+from swarmssm.analysis.diagnostics.recovery.table import factor_curve
 from swarmssm.errors import InputError
 
-BASE = Setting(individuals=3, frames=20, trials=1)
+BASE = Design(individuals=3, frames=20, trials=1)
 VALUES = {"damping": 0.5, "homing_gain": 0.5, "process_noise": 0.15}
 
 
@@ -24,9 +19,9 @@ def study(monkeypatch):
     """Return a study whose errors are known: (10, 20, 30 %) times 0.03 / noise * frames / 20."""
 
     def piece(self, index):
-        setting = self.settings[index // self.repeats]
-        size = 0.1 * (1 + index % self.repeats) * (0.03 / setting.noise) * 20 / setting.frames
-        if setting.frames == 80 and index % self.repeats == 2:
+        design = self.designs[index // self.repeats]
+        size = 0.1 * (1 + index % self.repeats) * (0.03 / design.noise) * 20 / design.frames
+        if design.frames == 80 and index % self.repeats == 2:
             return {"failed": "fit: no maximum"}
         row = {"truth": {"transition.cohesion_gain": -2.0, "transition.center[0]": 0.0}}
         row["median"] = {"transition.cohesion_gain": -2.0 * (1 + size), "transition.center[0]": 1.0}
@@ -39,13 +34,13 @@ def study(monkeypatch):
 
     def run(**options):
         given = {"factors": {"frames": [10, 40, 80], "noise": [0.06]}, "datasets": 3, **options}
-        return recovery_study("linear", base=BASE, values=VALUES, **given)
+        return recovery("linear", base=BASE, values=VALUES, **given)
 
     return run
 
 
 def test_errors_worked_by_hand(study):
-    found = study()
+    found = study().data
     gain = found.sel(parameter="transition.cohesion_gain")
     assert found["label"].values.tolist() == [
         "base",
@@ -71,50 +66,49 @@ def test_errors_worked_by_hand(study):
     assert np.isnan(middle["error"]).all()
 
 
-def test_what_a_user_is_told(study):
+def test_summary_and_verdict(study):
     found = study()
-    assert recovery_needs(found) == [
-        {"factor": "frames", "cohesion_gain": "40 or more", "center[0]": "none tried"},
-        {"factor": "noise", "cohesion_gain": "0.06 or more", "center[0]": "none tried"},
-    ]
-    rows = recovery_table(found)
-    assert rows[0] == {"setting": "base", "cohesion_gain": "20 % ±25 % !", "center[0]": "-"}
-    assert rows[2]["cohesion_gain"] == "10 % ±25 %"
-    sentence = recovery_sentence(found)
-    assert "With 20 frames of 3 individuals in 1 trials" in sentence
-    assert "gains are not all found to within 10 %" in sentence
-    assert "20 % over 3 simulated data sets" in sentence
-    assert "about 80 frames a trial are needed" in sentence
-    easy = recovery_sentence(study(tolerance=0.5))
-    assert "all gains are found to within 50 %" in easy
+    sufficient = found.sufficient()
+    assert sufficient["cohesion_gain"].tolist() == ["40 or more", "0.06 or more"]
+    assert sufficient["center[0]"].tolist() == ["none", "none"]
+    rows = found.summary().xs("transition.cohesion_gain", level="parameter")
+    assert rows["error"].tolist() == pytest.approx([0.2, 0.4, 0.1, 0.0375, 0.1])
+    assert rows["within_tolerance"].tolist() == [False, False, True, True, True]
+    assert len(found.to_pandas()) == 5 * 2 * 3
+    verdict = found.verdict()
+    assert verdict.startswith("Not all gains are recovered to within 10 %")
+    assert "largest median error 20 %" in verdict
+    assert "about 80 frames a trial" in verdict
+    assert study(tolerance=0.5).verdict().startswith("All gains are recovered to within 50 %")
 
 
 def test_a_curve_holds_the_base_in_its_place(study):
-    curve = factor_curve(study(), "frames")
+    curve = factor_curve(study().data, "frames")
     assert curve["frames"].values.tolist() == [10, 20, 40, 80]
 
 
 def test_a_grid_holds_all_combinations(study):
-    found = study(factors={"frames": [10, 20], "noise": [0.03, 0.06]}, grid=True)
+    result = study(factors={"frames": [10, 20], "noise": [0.03, 0.06]}, grid=True)
+    found = result.data
     pairs = list(zip(found["frames"].values.tolist(), found["noise"].values.tolist(), strict=True))
     assert pairs == [(10, 0.03), (10, 0.06), (20, 0.03), (20, 0.06)]
-    assert recovery_needs(found) == []
+    assert result.sufficient().empty
 
 
 def test_multiples_of_the_base():
-    varied = varied_values(["frames", "noise"], Setting())
+    varied = varied_values(["frames", "noise"], Design())
     assert varied["frames"] == [50, 100, 200, 400]
     assert varied["noise"] == pytest.approx([0.01, 0.03, 0.09])
-    labels, chosen = settings_of(varied, Setting(), grid=False)
+    labels, chosen = designs_of(varied, Design(), grid=False)
     # The base is there once.
     assert len(chosen) == 1 + 3 + 2
     assert labels[0][0] == "base"
 
 
-def test_a_simulation_is_what_its_setting_says():
-    setting = Setting(individuals=40, density=2.5, radius=2.0, noise=0.1, frames=5, trials=3)
-    work = module._Recover("linear", "auto", (setting,), 1, None, VALUES, None, {}, 0)
-    tracks, truth = work.simulate(setting, 0)
+def test_a_simulation_is_what_its_design_says():
+    design = Design(individuals=40, density=2.5, radius=2.0, noise=0.1, frames=5, trials=3)
+    work = module._Recover("linear", "auto", (design,), 1, None, VALUES, None, {}, 0)
+    tracks, truth = work.simulate(design, 0)
     assert dict(tracks.sizes) == {"trial": 3, "time": 5, "space": 2, "individual": 40}
     assert {name: float(truth[f"transition.{name}"]) for name in VALUES} == VALUES
     assert float(truth["emission.noise"]) == 0.1
@@ -125,7 +119,7 @@ def test_a_simulation_is_what_its_setting_says():
     # The deviation of uniform numbers has a relative error of sqrt(0.8 / 4 n).
     wanted = np.sqrt(16 / 12 + 0.01)
     assert spread == pytest.approx([wanted, wanted], rel=6 * np.sqrt(0.2 / 120))
-    options, graph = work.edges(setting)
+    options, graph = work.edges(design)
     assert (options, graph) == ({"edges": "radius:2.0"}, None)
 
 
@@ -133,20 +127,20 @@ def test_found_again_from_simulated_data(tmp_path):
     out = tmp_path / "recovery.jsonl"
     options = {
         "factors": {"noise": [0.2]},
-        "base": Setting(individuals=3, frames=20, trials=1, noise=0.02),
+        "base": Design(individuals=3, frames=20, trials=1, noise=0.02),
         "datasets": 1,
         "values": VALUES | {"cohesion_gain": 1.0, "alignment_gain": 1.0},
     }
-    found = recovery_study("linear", out=out, **options)
+    found = recovery("linear", out=out, **options).data
     noise = found.sel(parameter="emission.noise")
     # 120 numbers tell their noise to 1 / sqrt(2 * 120) = 6.5 %, and paths take up some of them.
     assert (noise["error"] < 6 * 0.065).all()
     assert noise["truth"].values.tolist() == [[0.02], [0.2]]
     assert isinstance(found, xr.Dataset)
-    again = recovery_study("linear", out=out, resume=True, **options)
+    again = recovery("linear", out=out, resume=True, **options).data
     assert again.identical(found)
     with pytest.raises(InputError, match=r"other settings \(values\)"):
-        recovery_study("linear", out=out, resume=True, **{**options, "values": VALUES})
+        recovery("linear", out=out, resume=True, **{**options, "values": VALUES})
 
 
 @pytest.mark.parametrize(
@@ -166,13 +160,13 @@ def test_found_again_from_simulated_data(tmp_path):
         ({"values": {"damping": -1.0}}, "damping"),
         ({"model": "graph-vae"}, "no state-space model"),
         ({"graph": "nonsense"}, "nonsense"),
-        ({"base": Setting(radius=None)}, "who sees whom"),
+        ({"base": Design(radius=None)}, "the base has no radius"),
     ],
 )
 def test_mistakes(options, words):
     given = {"model": "linear", "base": BASE, "factors": {"frames": [10]}, "datasets": 1, **options}
     with pytest.raises(InputError, match=words):
-        recovery_study(**given)
+        recovery(**given)
 
 
 def test_errors_of_a_place_are_relative_to_the_box():

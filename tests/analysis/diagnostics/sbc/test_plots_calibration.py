@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from swarmssm.analysis.diagnostics.calibration.ranks import calibration_of_ranks
+from swarmssm.analysis.diagnostics.sbc.ranks import calibration_of_ranks
 from swarmssm.analysis.plots.calibration import (
     plot_calibration,
     plot_coverage,
@@ -79,14 +79,14 @@ def test_recovery_is_drawn_for_each_factor(tmp_path):
 
     found = xr.Dataset(
         {
-            "error": (("setting", "parameter"), [[0.2, 0.1], [0.1, 0.0], [0.4, 0.3]]),
-            "width": (("setting", "parameter"), np.full((3, 2), 0.5)),
+            "error": (("design", "parameter"), [[0.2, 0.1], [0.1, 0.0], [0.4, 0.3]]),
+            "width": (("design", "parameter"), np.full((3, 2), 0.5)),
         },
         {
             "parameter": ["transition.cohesion_gain", "emission.noise"],
-            "factor": ("setting", ["base", "frames", "noise"]),
-            "frames": ("setting", [100, 200, 100]),
-            "noise": ("setting", [0.03, 0.03, 0.1]),
+            "factor": ("design", ["base", "frames", "noise"]),
+            "frames": ("design", [100, 200, 100]),
+            "noise": ("design", [0.03, 0.03, 0.1]),
         },
         {"tolerance": 0.1},
     )
@@ -99,4 +99,4 @@ def test_recovery_is_drawn_for_each_factor(tmp_path):
     assert grid[0, 0].lines[-1].get_ydata() == [0.1, 0.1]
     figure.canvas.draw()
     with pytest.raises(InputError, match="nothing to draw"):
-        plot_recovery(found.isel(setting=[0]))
+        plot_recovery(found.isel(design=[0]))

@@ -1,4 +1,4 @@
-"""What data sets of a recovery study are like, and which of them are tried."""
+"""Designs of a recovery study: sizes and noise of data sets, and which of them are tried."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -10,12 +10,12 @@ import numpy as np
 
 from swarmssm.errors import InputError
 
-__all__ = ["FACTORS", "Setting", "settings_of", "titles_of", "varied_values"]
+__all__ = ["FACTORS", "Design", "designs_of", "titles_of", "varied_values"]
 
 #: What may be varied.
 FACTORS = ("individuals", "density", "radius", "noise", "frames", "trials")
 WHOLE = ("individuals", "frames", "trials")
-#: Multiples of the base setting that are tried where no values are named.
+#: Multiples of the base design that are tried where no values are named.
 MULTIPLES = {
     "individuals": (0.5, 1.0, 2.0),
     "density": (0.25, 1.0, 4.0),
@@ -26,8 +26,8 @@ MULTIPLES = {
 
 
 @dataclass(frozen=True)
-class Setting:
-    """What a simulated data set is like.
+class Design:
+    """Size and noise of a simulated data set.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Setting:
     density
         Individuals in a unit of area (or volume) at the start.
     radius
-        How far an individual sees; ``None``: the model's own edges or graph say it.
+        Radius of perception; ``None``: the model's own edges or the graph define neighbours.
     noise
         Standard deviation of the tracking noise of a coordinate.
     frames, trials
@@ -66,11 +66,11 @@ class Setting:
 
     @property
     def digits(self) -> list[int]:
-        """Whole numbers that tell settings apart, for seeds."""
+        """Whole numbers that identify a design, for seeds."""
         return [round(1e6 * (getattr(self, part.name) or 0.0)) for part in fields(self)]
 
-    def changed(self, **values: Any) -> "Setting":
-        """Return a setting with other values.
+    def changed(self, **values: Any) -> "Design":
+        """Return a design with other values.
 
         Raises
         ------
@@ -84,7 +84,7 @@ class Setting:
 
 
 def varied_values(
-    factors: Mapping[str, Sequence[float]] | Sequence[str] | None, base: Setting
+    factors: Mapping[str, Sequence[float]] | Sequence[str] | None, base: Design
 ) -> dict[str, list[float]]:
     """Return the values of each factor."""
     if factors is None:
@@ -112,12 +112,12 @@ def varied_values(
     return varied
 
 
-def settings_of(
-    varied: Mapping[str, Sequence[float]], base: Setting, grid: bool
-) -> tuple[list[tuple[str, float]], list[Setting]]:
-    """Return what is varied in each setting, and the settings; the base first, none twice."""
+def designs_of(
+    varied: Mapping[str, Sequence[float]], base: Design, grid: bool
+) -> tuple[list[tuple[str, float]], list[Design]]:
+    """Return what is varied in each design, and the designs; the base first, each once."""
     labels: list[tuple[str, float]] = []
-    chosen: list[Setting] = []
+    chosen: list[Design] = []
     if grid:
         names = list(varied)
         for combination in product(*(varied[name] for name in names)):
@@ -139,11 +139,11 @@ def settings_of(
 
 def titles_of(
     labels: Sequence[tuple[str, float]],
-    settings: Sequence[Setting],
+    designs: Sequence[Design],
 ) -> list[str]:
-    """Return a title for each setting."""
+    """Return a title for each design."""
     titles = []
-    for (factor, value), own in zip(labels, settings, strict=True):
+    for (factor, value), own in zip(labels, designs, strict=True):
         if factor == "base":
             titles.append("base")
         elif factor == "grid":

@@ -1,4 +1,4 @@
-"""What simulated data are to be like: a file of tracks, a fitted run, or both."""
+"""Template of simulated data: a file of tracks, a fitted run, or both."""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -8,28 +8,28 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from swarmssm.models import Scales
 
-__all__ = ["Likeness", "likeness_of"]
+__all__ = ["SimulationTemplate", "template_of"]
 
-#: Settings of a run that its simulated data are fitted with too.
+#: Settings of a run with which simulated data are fitted too.
 KEPT = ("model", "guide", "model_options", "guide_options", "priors", "steps", "epochs")
-#: Draws of which the median is taken as what a run found.
+#: Posterior draws of which the median is taken.
 DRAWS = 2000
 
 
 @dataclass(frozen=True)
-class Likeness:
-    """What simulated data are to be like, as far as it is known.
+class SimulationTemplate:
+    """Sizes, scales and parameters that simulated data take from data; ``None`` if unknown.
 
     Attributes
     ----------
     scales
-        From which priors are taken.
+        From which the default priors follow.
     frames, trials, noise, density, graph
-        Sizes of a data set, and who sees whom, by its name.
+        Size of a data set, and the neighbourhood rule.
     values
-        Parameters that a run found.
+        Posterior medians of a run.
     settings
-        What it was fitted with.
+        Settings of its fit.
     """
 
     scales: "Scales | None" = None
@@ -42,20 +42,20 @@ class Likeness:
     settings: dict[str, Any] = field(default_factory=dict)
 
 
-def likeness_of(file: Path | None, run: Path | None, trust_code: bool) -> Likeness:
-    """Read what simulated data are to be like; of file and run the run comes first."""
-    like = Likeness() if run is None else _of_run(run, trust_code)
+def template_of(file: Path | None, run: Path | None, trust_code: bool) -> SimulationTemplate:
+    """Return the template of a file, a run or both; where both tell, the run counts."""
+    known = SimulationTemplate() if run is None else _of_run(run, trust_code)
     if file is not None:
-        like = _with_file(like, file)
-    if like.scales is None:
-        return like
-    low, high = like.scales.low, like.scales.high
+        known = _with_file(known, file)
+    if known.scales is None:
+        return known
+    low, high = known.scales.low, known.scales.high
     area = math.prod(up - down for down, up in zip(low, high, strict=True))
-    return replace(like, density=like.scales.individuals / area if area > 0 else None)
+    return replace(known, density=known.scales.individuals / area if area > 0 else None)
 
 
-def _of_run(run: Path, trust_code: bool) -> Likeness:
-    """Read scales, settings and found parameters of a run."""
+def _of_run(run: Path, trust_code: bool) -> SimulationTemplate:
+    """Return scales, settings and posterior medians of a run."""
     from swarmssm import inference
 
     fitted = inference.Fit.load(run, trust_code=trust_code)
@@ -64,7 +64,7 @@ def _of_run(run: Path, trust_code: bool) -> Likeness:
     given = fitted.settings.model_dump(mode="json")
     rule = fitted.preparation.rule
     noise = values.get("emission.noise", fitted.scales.noise)
-    return Likeness(
+    return SimulationTemplate(
         scales=fitted.scales,
         noise=noise if isinstance(noise, float) and noise > 0 else None,
         graph=None if rule is None else str(rule),
@@ -73,8 +73,8 @@ def _of_run(run: Path, trust_code: bool) -> Likeness:
     )
 
 
-def _with_file(like: Likeness, file: Path) -> Likeness:
-    """Add sizes of a file of tracks, and what the run did not tell."""
+def _with_file(known: SimulationTemplate, file: Path) -> SimulationTemplate:
+    """Add the sizes of a file of tracks, and what the run does not tell."""
     from swarmssm import io
     from swarmssm.graphs import default_rule, rule_of
     from swarmssm.models import scales_of
@@ -83,10 +83,10 @@ def _with_file(like: Likeness, file: Path) -> Likeness:
     tracks = with_trials(io.read(file))
     scales = scales_of(tracks)
     return replace(
-        like,
-        scales=like.scales or scales,
+        known,
+        scales=known.scales or scales,
         frames=tracks.sizes["time"],
         trials=tracks.sizes["trial"],
-        noise=like.noise or scales.noise or None,
-        graph=like.graph or str(rule_of(tracks) or default_rule(tracks)),
+        noise=known.noise or scales.noise or None,
+        graph=known.graph or str(rule_of(tracks) or default_rule(tracks)),
     )

@@ -1,4 +1,4 @@
-"""Data sets that a model itself has made: parameters from its priors, paths, sightings."""
+"""Data sets drawn from a model: parameters from its priors, then paths and observations."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -18,7 +18,7 @@ from swarmssm.models import ObservedEdges, Scales, StateSpaceModel, find_model, 
 from swarmssm.models.parameters import priors_of
 from swarmssm.tracks import MAX_COORDINATE, Array, make_tracks
 
-__all__ = ["FixedModel", "SyntheticData", "standard_scales"]
+__all__ = ["FixedModel", "SimulatedData", "standard_scales"]
 
 #: Side of a square or cube in which positions are uniform, in standard deviations of a coordinate.
 UNIFORM_SIDE = math.sqrt(12.0)
@@ -136,7 +136,7 @@ class FixedModel:
 
 
 @dataclass(frozen=True)
-class SyntheticData:
+class SimulatedData:
     """Data sets drawn from a model's joint distribution, each told by its number and a seed.
 
     Attributes

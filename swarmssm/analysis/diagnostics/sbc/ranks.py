@@ -1,34 +1,36 @@
-"""Ranks of true values among posterior draws, and what they say of the posterior."""
+"""Ranks of true values among posterior draws, and whether they are uniform."""
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 import xarray as xr
 from scipy import stats
 
-from swarmssm.analysis.diagnostics.calibration.uniformity import (
+from swarmssm.analysis.diagnostics.sbc.uniformity import (
     ecdf_band,
     histogram_interval,
     uniformity_p_value,
 )
 from swarmssm.errors import InputError
 
-__all__ = ["calibration_of_ranks", "calibration_sentence", "calibration_table"]
+__all__ = ["Calibration", "calibration_of_ranks"]
 
 #: Levels of the central intervals whose coverage is counted.
 LEVELS = (0.5, 0.8, 0.9, 0.95)
 #: Bins of a rank histogram.
 BINS = 20
-#: A band holds a calibrated parameter this often, and an interval its coverage.
+#: Probability that a band holds the ranks of a calibrated parameter, and an interval its coverage.
 CONFIDENCE = 0.95
 
 
 def calibration_of_ranks(
     ranks: Mapping[str, npt.ArrayLike], draws: int, *, level: float = CONFIDENCE
 ) -> xr.Dataset:
-    """Say of ranks whether they are uniform.
+    """Test ranks for uniformity.
 
     Parameters
     ----------
@@ -47,7 +49,7 @@ def calibration_of_ranks(
         The ranks.
     ``ecdf (parameter, point)``, ``ecdf_low (point)``, ``ecdf_high (point)``
         Share of ranks below each point, and the band in which the whole of it lies with
-        probability ``level`` (:func:`swarmssm.analysis.diagnostics.calibration.ecdf_band`).
+        probability ``level`` (:func:`swarmssm.analysis.diagnostics.sbc.ecdf_band`).
     ``passes (parameter)``, ``p_value (parameter)``
         1 if all of it is inside the band; and the probability of ranks as uneven as these.
     ``histogram (parameter, bin)``, ``expected (bin)``, ``histogram_low``, ``histogram_high (bin)``
@@ -122,70 +124,65 @@ def calibration_of_ranks(
     )
 
 
-def calibration_sentence(calibration: xr.Dataset) -> str:
-    """Return what a calibration says, in one or two plain sentences.
+@dataclass(frozen=True)
+class Calibration:
+    """Result of :func:`~swarmssm.analysis.sbc`.
 
-    Parameters
+    Attributes
     ----------
-    calibration
-        From :func:`simulation_based_calibration` or :func:`calibration_of_ranks`.
+    data
+        Ranks, bands, coverage, truths and posteriors, see :func:`calibration_of_ranks`.
     """
-    number, level = int(calibration.attrs["datasets"]), float(calibration.attrs["band_level"])
-    names = [str(name) for name in calibration["parameter"].values]
-    passes = calibration["passes"].to_numpy().astype(bool)
-    failed = int(calibration.attrs.get("failed", 0))
-    lost = f" {failed} further data sets failed and are not counted." if failed else ""
-    if passes.all():
+
+    data: xr.Dataset
+
+    def summary(self) -> pd.DataFrame:
+        """Return a row for each quantity: ``in_band``, ``p_value``, coverage of its intervals."""
+        frame = self.data[["passes", "p_value"]].to_dataframe()
+        frame = frame.rename(columns={"passes": "in_band"}).astype({"in_band": bool})
+        for level in self.data["level"].values:
+            coverage = self.data["coverage"].sel(level=level).to_numpy()
+            frame[f"coverage_{100 * level:.0f}"] = coverage
+        return frame
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return a row for each quantity and data set: rank, truth and posterior."""
+        names = [
+            str(n) for n, values in self.data.items() if values.dims == ("parameter", "dataset")
+        ]
+        return self.data[names].to_dataframe().reset_index()
+
+    def verdict(self) -> str:
+        """Return in one line whether the posterior is calibrated, as far as the data sets tell."""
+        attrs = self.data.attrs
+        number, level = int(attrs["datasets"]), float(attrs["band_level"])
+        names = [str(name) for name in self.data["parameter"].values]
+        failed = int(attrs.get("failed", 0))
+        lost = f" {failed} further data sets failed and are not counted." if failed else ""
+        off = [name for name in names if not bool(self.data["passes"].sel(parameter=name))]
+        if not off:
+            # Standard error of a coverage of 0.9.
+            error = 100.0 * math.sqrt(0.09 / number)
+            return (
+                f"Calibrated: the ranks of all {len(names)} quantities are within the "
+                f"{100 * level:.0f} % band over {number} data sets (standard error of a 90 % "
+                f"coverage: {error:.1f} %).{lost}"
+            )
         return (
-            f"The ranks of all {len(names)} quantities lie within the {100 * level:.0f} % band "
-            f"over {number} simulated data sets: the posterior is as sure as it may be, as far as "
-            f"so many can tell (a share of 90 % is known to {100 * _error(number):.1f} %).{lost}"
+            f"Not calibrated: the ranks of {len(off)} of {len(names)} quantities leave the "
+            f"{100 * level:.0f} % band over {number} data sets "
+            f"({'; '.join(self._deviation(name) for name in off)}); by chance "
+            f"{(1.0 - level) * len(names):.1f} would.{lost}"
         )
-    off = [
-        _verdict(calibration.sel(parameter=n)) for n, ok in zip(names, passes, strict=True) if ~ok
-    ]
-    chance = (1.0 - level) * len(names)
-    return (
-        f"Of {len(names)} quantities, {int(passes.sum())} have ranks within the "
-        f"{100 * level:.0f} % band over {number} simulated data sets, and {len(off)} not: "
-        f"{'; '.join(off)}. By chance alone one would expect {chance:.1f} outside.{lost}"
-    )
 
-
-def _verdict(one: xr.Dataset) -> str:
-    """Say in what way the ranks of a parameter are uneven."""
-    coverage = float(one["coverage"].sel(level=0.9))
-    mean = float(one["rank"].mean()) / float(one.attrs["draws"])
-    # Three standard errors of the mean of as many uniform numbers.
-    error = 3.0 * math.sqrt(1.0 / 12.0 / one.sizes["dataset"])
-    side = ""
-    if abs(mean - 0.5) > error:
-        side = ", estimates too " + ("low" if mean > 0.5 else "high")
-    return f"{one['parameter'].item()} (90 % intervals hold {100 * coverage:.0f} %{side})"
-
-
-def _error(number: int) -> float:
-    """Return the standard error of a coverage of 0.9."""
-    return math.sqrt(0.09 / number)
-
-
-def calibration_table(calibration: xr.Dataset) -> list[dict[str, object]]:
-    """Return a row for each quantity: verdict, p-value, coverage of its central intervals.
-
-    Parameters
-    ----------
-    calibration
-        From :func:`calibration_of_ranks`.
-    """
-    rows: list[dict[str, object]] = []
-    for name in calibration["parameter"].values:
-        one = calibration.sel(parameter=name)
-        row: dict[str, object] = {
-            "quantity": str(name),
-            "in the band": "yes" if bool(one["passes"]) else "no",
-            "p": float(one["p_value"]),
-        }
-        for level in calibration["level"].values:
-            row[f"{100 * level:.0f} % intervals"] = float(one["coverage"].sel(level=level))
-        rows.append(row)
-    return rows
+    def _deviation(self, name: str) -> str:
+        """Return in what way the ranks of a quantity are not uniform."""
+        one = self.data.sel(parameter=name)
+        mean = float(one["rank"].mean()) / float(self.data.attrs["draws"])
+        side = ""
+        # Three standard errors of the mean of as many uniform numbers.
+        if abs(mean - 0.5) > 3.0 * math.sqrt(1.0 / 12.0 / one.sizes["dataset"]):
+            side = ", estimates too " + ("low" if mean > 0.5 else "high")
+        return (
+            f"{name}: coverage {100 * float(one['coverage'].sel(level=0.9)):.0f} % for 90 %{side}"
+        )

@@ -1,23 +1,25 @@
-"""``swarmssm calibrate``: tiny studies from the command line, going on, mistakes."""
+"""``swarmssm sbc`` and ``swarmssm recovery``: tiny studies, resuming, invalid input."""
 
 import json
 
 import pytest
 import xarray as xr
 
-SMALL = ("--frames", 5, "--individuals", 2, "--trials", 1)
+from swarmssm.analysis.diagnostics.sbc import study
+
+SMALL = ("--set", "frames=5", "--set", "individuals=2", "--set", "trials=1")
 HELD = (
-    *("--model", "linear", "--prior", "cohesion_gain=Normal(1,0.2)"),
-    *("--prior", "alignment_gain=Normal(1,0.2)"),
+    *("--model", "linear", "--set", "priors.cohesion_gain=Normal(1,0.2)"),
+    *("--set", "priors.alignment_gain=Normal(1,0.2)"),
 )
 
 
 def test_calibration_is_written_and_said(swarmssm, tmp_path):
-    done = swarmssm("calibrate", *HELD, *SMALL, "--datasets", 2, "--draws", 19, "--out", "sbc.nc")
+    done = swarmssm("sbc", *HELD, *SMALL, "--datasets", 2, "--set", "draws=19", "--out", "sbc.nc")
     assert done.status == 0, done.err
     assert "2 of 2 data sets" in done.err
     assert "cohesion_gain" in done.out
-    assert "over 2 simulated data sets" in done.out
+    assert "over 2 data sets" in done.out
     assert "sbc.nc, sbc.png: written" in done.out
     with xr.open_dataset(tmp_path / "sbc.nc") as found:
         assert dict(found.sizes)["dataset"] == 2
@@ -27,28 +29,28 @@ def test_calibration_is_written_and_said(swarmssm, tmp_path):
     lines = (tmp_path / "sbc.jsonl").read_text().splitlines()
     assert len(lines) == 3
 
-    again = swarmssm("calibrate", *HELD, *SMALL, "--datasets", 2, "--draws", 19, "--out", "sbc.nc")
+    again = swarmssm("sbc", *HELD, *SMALL, "--datasets", 2, "--set", "draws=19", "--out", "sbc.nc")
     assert again.status == 2
     assert "exists already" in again.err
 
     # One data set more than at first.
     more = swarmssm(
-        *("calibrate", *HELD, *SMALL, "--datasets", 3, "--draws", 19, "--out", "sbc.nc"),
+        *("sbc", *HELD, *SMALL, "--datasets", 3, "--set", "draws=19", "--out", "sbc.nc"),
         *("--resume", "--format", "json", "--figure", "sbc.svg"),
     )
     assert more.status == 0, more.err
     assert "2 of 3 data sets" in more.err
     assert "3 of 3 data sets" in more.err
     table = json.loads(more.out)
-    assert {row["quantity"] for row in table["calibration"]} >= {"transition.cohesion_gain"}
-    assert "over 3 simulated" in table["sentence"]
+    assert {row["parameter"] for row in table["calibration"]} >= {"transition.cohesion_gain"}
+    assert "over 3 data sets" in table["verdict"]
     now = (tmp_path / "sbc.jsonl").read_text().splitlines()
     assert now[:3] == lines
     assert len(now) == 4
     assert "<svg" in (tmp_path / "sbc.svg").read_text()
 
     other = swarmssm(
-        *("calibrate", *HELD, *SMALL, "--datasets", 3, "--draws", 20, "--out", "sbc.nc"),
+        *("sbc", *HELD, *SMALL, "--datasets", 3, "--set", "draws=20", "--out", "sbc.nc"),
         "--resume",
     )
     assert other.status == 2
@@ -57,14 +59,13 @@ def test_calibration_is_written_and_said(swarmssm, tmp_path):
 
 def test_what_was_begun_is_not_lost(swarmssm, tmp_path):
     (tmp_path / "sbc.jsonl").write_text('{"settings": {}}\n')
-    begun = swarmssm("calibrate", *HELD, *SMALL, "--datasets", 1, "--out", "sbc.nc")
+    begun = swarmssm("sbc", *HELD, *SMALL, "--datasets", 1, "--out", "sbc.nc")
     assert begun.status == 2
     assert "--resume" in begun.err
     assert (tmp_path / "sbc.jsonl").read_text() == '{"settings": {}}\n'
 
 
 def test_interrupted_by_hand(swarmssm, tmp_path, monkeypatch):
-    from swarmssm.analysis.diagnostics.calibration import simulation as calibration
 
     def stop(self, index):
         if index == 1:
@@ -72,16 +73,16 @@ def test_interrupted_by_hand(swarmssm, tmp_path, monkeypatch):
         names = ("truth", "rank", "mean", "sd", "low", "high")
         return {**{name: {"gain": 1} for name in names}, "seconds": 0.1}
 
-    monkeypatch.setattr(calibration._Calibrate, "__call__", stop)
-    call = ("calibrate", *HELD, *SMALL, "--datasets", 2, "--out", "sbc.nc")
+    monkeypatch.setattr(study._Calibrate, "__call__", stop)
+    call = ("sbc", *HELD, *SMALL, "--datasets", 2, "--out", "sbc.nc")
     stopped = swarmssm(*call)
     assert stopped.status == 1
-    assert "stopped by hand" in stopped.err
-    assert "sbc.jsonl; go on with --resume." in stopped.err
+    assert "interrupted" in stopped.err
+    assert "sbc.jsonl; continue with --resume." in stopped.err
     assert len((tmp_path / "sbc.jsonl").read_text().splitlines()) == 2
     assert not (tmp_path / "sbc.nc").exists()
     monkeypatch.setattr(
-        calibration._Calibrate,
+        study._Calibrate,
         "__call__",
         lambda self, index: stop(self, 0),
     )
@@ -91,16 +92,15 @@ def test_interrupted_by_hand(swarmssm, tmp_path, monkeypatch):
 
 
 def test_interrupted_before_anything_was_finished(swarmssm, tmp_path, monkeypatch):
-    from swarmssm.analysis.diagnostics.calibration import simulation as calibration
 
     def stop(self, index):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(calibration._Calibrate, "__call__", stop)
-    call = ("calibrate", *HELD, *SMALL, "--datasets", 2, "--out", "sbc.nc")
+    monkeypatch.setattr(study._Calibrate, "__call__", stop)
+    call = ("sbc", *HELD, *SMALL, "--datasets", 2, "--out", "sbc.nc")
     stopped = swarmssm(*call)
     assert stopped.status == 1
-    assert "stopped by hand. Nothing was finished." in stopped.err
+    assert "interrupted. No data set was finished." in stopped.err
     assert not list(tmp_path.iterdir())
 
     # A study that was to be begun anew is still the old one.
@@ -108,7 +108,7 @@ def test_interrupted_before_anything_was_finished(swarmssm, tmp_path, monkeypatc
     (tmp_path / "sbc.jsonl").write_text(old)
     again = swarmssm(*call, "--overwrite")
     assert again.status == 1
-    assert "Nothing was finished." in again.err
+    assert "No data set was finished." in again.err
     assert [path.name for path in tmp_path.iterdir()] == ["sbc.jsonl"]
     assert (tmp_path / "sbc.jsonl").read_text() == old
 
@@ -121,14 +121,15 @@ def test_recovery_like_a_file(swarmssm, tmp_path):
     )
     assert made.status == 0, made.err
     done = swarmssm(
-        *("calibrate", "mine.nc", "--study", "recovery", "--model", "linear", "--datasets", 1),
-        *("--factor", "frames=8", "--value", "cohesion_gain=0.5", "--value", "damping=0.5"),
-        *("--value", "alignment_gain=0.5", "--graph", "complete", "--out", "recovery.nc"),
+        *("recovery", "mine.nc", "--model", "linear", "--datasets", 1, "--factor", "frames=8"),
+        *("--set", "values.cohesion_gain=0.5", "--set", "values.damping=0.5"),
+        *("--set", "values.alignment_gain=0.5", "--set", "graph=complete"),
+        *("--out", "recovery.nc"),
     )
     assert done.status == 0, done.err
     assert "frames 8" in done.out
-    assert "good enough at" in done.out
-    assert "With 12 frames of 2 individuals in 1 trials" in done.out
+    assert "within tolerance at" in done.out
+    assert "1 x 12 frames of 2 individuals" in done.out
     with xr.open_dataset(tmp_path / "recovery.nc") as found:
         assert found["frames"].values.tolist() == [12, 8]
         gain = found["truth"].sel(parameter="transition.cohesion_gain")
@@ -151,8 +152,8 @@ def test_like_a_run_at_what_it_found(swarmssm, tmp_path):
     )
     assert fitted.status == 0, fitted.err
     done = swarmssm(
-        *("calibrate", "mine.nc", "--run", "run", "--study", "recovery", "--datasets", 1),
-        *("--factor", "noise=0.1", "--frames", 5, "--out", "recovery.nc"),
+        *("recovery", "mine.nc", "--run", "run", "--datasets", 1, "--factor", "noise=0.1"),
+        *("--set", "frames=5", "--out", "recovery.nc"),
     )
     assert done.status == 0, done.err
     with xr.open_dataset(tmp_path / "recovery.nc") as found:
@@ -162,51 +163,44 @@ def test_like_a_run_at_what_it_found(swarmssm, tmp_path):
         # exp(-1) = 0.3679, and a prior as narrow as this leaves nothing to learn.
         damping = found["truth"].sel(parameter="transition.damping").values
         assert damping == pytest.approx(0.3679, abs=0.002)
-    mixed = swarmssm("calibrate", "--run", "run", "--model", "boids", "--out", "other.nc")
-    assert mixed.status == 2
-    assert "--model: it is that of the run" in mixed.err
-    gain = ("--prior", "damping=LogNormal(0,1)")
-    mixed = swarmssm("calibrate", "--run", "run", *gain, "--out", "other.nc")
-    assert "--prior: it is that of the run" in mixed.err
-    mixed = swarmssm("calibrate", "--run", "run", "--set", "window=5", "--out", "other.nc")
-    assert "--set window: it is that of the run" in mixed.err
+    for mixed in (["--model", "boids"], ["--set", "priors.damping=1"], ["--set", "window=5"]):
+        refused = swarmssm("sbc", "--run", "run", *mixed, "--out", "other.nc")
+        assert refused.status == 2
+        assert "the run determines it" in refused.err
 
 
 @pytest.mark.parametrize(
-    ("arguments", "sentence"),
+    ("arguments", "message"),
     [
-        (["--model", "graph-vae"], "no state-space model"),
-        (["--model", "graph-ssm"], "weights without a prior"),
-        (["--model", "nothing"], "nothing"),
-        (["--guide", "nothing"], "nothing"),
-        (["--datasets", "0"], "datasets"),
-        (["--frames", "-1"], "frames"),
-        (["--processes", "0"], "processes"),
-        (["--draws", "0"], "draws"),
-        (["--spread", "-1"], "--spread"),
-        (["--prior", "cohesion_gain"], "not of the form name=value"),
-        (["--prior", "charm=Normal(0,1)"], "charm"),
-        (["--set", "weather=1"], "weather"),
-        (["--figure", "sbc.txt"], ".png"),
-        (["--factor", "frames=10"], "--factor: it belongs to --study recovery only"),
-        (["--value", "cohesion_gain=1"], "--value: it belongs to --study recovery only"),
-        (["--study", "recovery", "--draws", "10"], "--draws: it belongs to --study calibration"),
-        (["--study", "recovery", "--factor", "weather=1"], "there is no weather"),
-        (["--study", "recovery", "--factor", "frames=many"], "frames=many"),
-        (["--study", "recovery", "--factor", "frames=10", "--factor", "noise"], "for none"),
-        (["--study", "recovery", "--value", "charm=1"], "charm"),
-        (["--study", "recovery", "--value", "damping=big"], "must be a number"),
-        (["--study", "recovery", "--noise", "0"], "noise"),
-        (["--study", "recovery", "--tolerance", "0"], "tolerance"),
-        (["--study", "nonsense"], "nonsense"),
-        (["--run", "nowhere"], "nowhere"),
-        (["nowhere.nc"], "nowhere.nc"),
+        ("sbc --model graph-vae", "no state-space model"),
+        ("sbc --model graph-ssm", "weights without a prior"),
+        ("sbc --model nothing", "nothing"),
+        ("sbc --set guide=nothing", "nothing"),
+        ("sbc --datasets 0", "datasets"),
+        ("sbc --set frames=-1", "frames"),
+        ("sbc --set individuals=many", "individuals"),
+        ("sbc --processes 0", "processes"),
+        ("sbc --set draws=0", "draws"),
+        ("sbc --set spread=-1", "spread"),
+        ("sbc --set draws", "not of the form name=value"),
+        ("sbc --set priors.charm=Normal(0,1)", "charm"),
+        ("sbc --set weather=1", "weather"),
+        ("sbc --figure sbc.txt", ".png"),
+        ("sbc --run nowhere", "nowhere"),
+        ("sbc nowhere.nc", "nowhere.nc"),
+        ("recovery --factor weather=1", "there is no weather"),
+        ("recovery --factor frames=many", "frames=many"),
+        ("recovery --factor frames=10 --factor noise", "for none"),
+        ("recovery --set values.charm=1", "charm"),
+        ("recovery --set values.damping=big", "must be a number"),
+        ("recovery --set noise=0", "noise"),
+        ("recovery --set tolerance=0", "tolerance"),
     ],
 )
-def test_a_mistake_is_named_and_leaves_nothing(swarmssm, tmp_path, arguments, sentence):
+def test_a_mistake_is_named_and_leaves_nothing(swarmssm, tmp_path, arguments, message):
     model = () if "--model" in arguments or "--run" in arguments else ("--model", "linear")
-    failed = swarmssm("calibrate", *model, "--out", "sbc.nc", *arguments)
+    failed = swarmssm(*arguments.split(), *model, "--out", "sbc.nc")
     assert failed.status == 2
-    assert sentence in failed.err
+    assert message in failed.err
     assert "Traceback" not in failed.err
     assert not list(tmp_path.iterdir())

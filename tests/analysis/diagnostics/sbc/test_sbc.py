@@ -9,18 +9,14 @@ import pytest
 import torch
 from scipy import stats
 
-from swarmssm.analysis.diagnostics.calibration import simulation as calibration
-from swarmssm.analysis.diagnostics.calibration.ranks import (
-    calibration_of_ranks,
-    calibration_sentence,
-    calibration_table,
-)
-from swarmssm.analysis.diagnostics.calibration.simulation import simulation_based_calibration
-from swarmssm.analysis.diagnostics.calibration.synthetic import (
+from swarmssm.analysis.diagnostics.sbc import study as module
+from swarmssm.analysis.diagnostics.sbc.ranks import Calibration, calibration_of_ranks
+from swarmssm.analysis.diagnostics.sbc.simulated import (
     FixedModel,
-    SyntheticData,
+    SimulatedData,
     standard_scales,
 )
+from swarmssm.analysis.diagnostics.sbc.study import sbc
 from swarmssm.errors import InputError, WorkError
 from swarmssm.inference.guides import LinearizedGuide
 from swarmssm.jobs import Progress
@@ -106,18 +102,19 @@ def test_histogram_counts_every_rank(toy):
     assert toy.sizes["bin"] == 20
 
 
-def test_sentences_say_what_is_wrong(toy):
-    assert "the posterior is as sure as it may be" in calibration_sentence(
-        calibration_of_ranks({"exact": conjugate_ranks(200, 199)}, 199)
+def test_the_verdict_names_what_is_wrong(toy):
+    exact = Calibration(calibration_of_ranks({"exact": conjugate_ranks(200, 199)}, 199))
+    assert exact.verdict().startswith("Calibrated")
+    verdict = Calibration(toy).verdict()
+    assert verdict.startswith("Not calibrated: the ranks of 3 of 4 quantities")
+    assert "estimates too high" in verdict
+    assert "estimates too low" not in verdict
+    summary = Calibration(toy).summary()
+    assert summary["in_band"].tolist() == [True, False, False, False]
+    assert summary.loc["exact", "coverage_90"] == float(
+        toy["coverage"].sel(parameter="exact", level=0.9)
     )
-    sentence = calibration_sentence(toy)
-    assert "Of 4 quantities, 1 have ranks within the 95 % band over 200" in sentence
-    assert "too_high (90 % intervals hold" in sentence
-    assert "estimates too high" in sentence
-    assert "estimates too low" not in sentence
-    row = calibration_table(toy)[1]
-    assert row["quantity"] == "too_sure"
-    assert row["in the band"] == "no"
+    assert len(Calibration(toy).to_pandas()) == 4 * 200
 
 
 @pytest.mark.parametrize("ranks", [{}, {"a": []}, {"a": [1, 2], "b": [1]}])
@@ -128,7 +125,7 @@ def test_ranks_that_do_not_go_together(ranks):
 
 def test_truths_are_drawn_from_the_priors():
     model = FixedModel("linear", standard_scales(2), {}, PRIORS)
-    data = SyntheticData(model, 2, 2, 1)
+    data = SimulatedData(model, 2, 2, 1)
     number = 100
     drawn = [data.draw(seed) for seed in range(number)]
     for name, mean, sd, log in (
@@ -185,12 +182,12 @@ def test_the_prior_does_not_depend_on_the_tracks():
 def study(tmp_path_factory):
     """A study of two data sets and its file."""
     out = tmp_path_factory.mktemp("study") / "sbc.jsonl"
-    return simulation_based_calibration("linear", datasets=2, out=out, **TINY, **PATHS), out
+    return sbc("linear", datasets=2, out=out, **TINY, **PATHS).data, out
 
 
 def test_the_same_data_set_whatever_their_number(study):
     found, _ = study
-    alone = simulation_based_calibration("linear", datasets=1, **TINY, seed=PATHS["seed"])
+    alone = sbc("linear", datasets=1, **TINY, seed=PATHS["seed"]).data
     parameters = alone["parameter"].values
     own = found.sel(parameter=parameters)
     assert alone["truth"].values[:, 0].tolist() == own["truth"].values[:, 0].tolist()
@@ -203,17 +200,14 @@ def test_gone_on_with_after_a_power_cut(study, tmp_path):
     out = tmp_path / "sbc.jsonl"
     out.write_bytes(kept.read_bytes()[:-30])
     told: list[Progress] = []
-    again = simulation_based_calibration(
-        "linear", datasets=2, out=out, resume=True, progress=told.append, **TINY, **PATHS
-    )
+    again = sbc("linear", datasets=2, out=out, resume=True, progress=told.append, **TINY, **PATHS)
     assert [count.done for count in told] == [1, 2]
+    again = again.data
     assert again.drop_vars("seconds").identical(whole.drop_vars("seconds"))
     states = [str(name) for name in whole["parameter"].values if str(name).startswith("states.")]
-    assert states == list(calibration.STATE_QUANTITIES)
+    assert states == list(module.STATE_QUANTITIES)
     with pytest.raises(InputError, match=r"other settings \(frames\)"):
-        simulation_based_calibration(
-            "linear", datasets=2, out=out, resume=True, **{**TINY, **PATHS, "frames": 9}
-        )
+        sbc("linear", datasets=2, out=out, resume=True, **{**TINY, **PATHS, "frames": 9})
 
 
 def test_given_frames_are_none_unless_asked_for(study, monkeypatch):
@@ -225,15 +219,15 @@ def test_given_frames_are_none_unless_asked_for(study, monkeypatch):
         asked.append(settings["guide_options"])
         raise WorkError("No maximum.")
 
-    monkeypatch.setattr(calibration.inference, "fit", fit)
+    monkeypatch.setattr(module.inference, "fit", fit)
     for options in ({}, {"guide_options": {"given": 2}}):
         with pytest.raises(WorkError, match="fit: No maximum"):
-            simulation_based_calibration("linear", datasets=1, **options, **TINY)
+            sbc("linear", datasets=1, **options, **TINY)
     assert asked == [{"given": 0}, {"given": 2}]
 
 
 def test_failures_are_counted_and_not_hidden(monkeypatch):
-    drawn = SyntheticData.draw
+    drawn = SimulatedData.draw
 
     def draw(self, seed, values=None):
         draw.calls += 1
@@ -242,15 +236,16 @@ def test_failures_are_counted_and_not_hidden(monkeypatch):
         return drawn(self, seed, values)
 
     draw.calls = 0
-    monkeypatch.setattr(SyntheticData, "draw", draw)
-    found = simulation_based_calibration("linear", datasets=3, **TINY)
+    monkeypatch.setattr(SimulatedData, "draw", draw)
+    calibration = sbc("linear", datasets=3, **TINY)
+    found = calibration.data
     assert found.attrs["failed"] == 2
     assert found.attrs["failures"] == "2 x simulation: The group flew apart."
     assert found.sizes["dataset"] == 1
-    assert "2 further data sets failed" in calibration_sentence(found)
+    assert "2 further data sets failed" in calibration.verdict()
     draw.calls = 0
     with pytest.raises(WorkError, match="All 1 data sets failed"):
-        simulation_based_calibration("linear", datasets=1, **TINY)
+        sbc("linear", datasets=1, **TINY)
 
 
 def test_a_group_that_flies_apart_is_told_of():
@@ -263,7 +258,7 @@ def test_a_group_that_flies_apart_is_told_of():
         },
     )
     with pytest.raises(WorkError):
-        SyntheticData(away, 100, 2, 1).draw(0)
+        SimulatedData(away, 100, 2, 1).draw(0)
 
 
 @pytest.mark.parametrize(
@@ -287,7 +282,7 @@ def test_a_group_that_flies_apart_is_told_of():
 def test_mistakes(options, words):
     given = {**TINY, "model": "linear", "datasets": 1, **options}
     with pytest.raises(InputError, match=words):
-        simulation_based_calibration(**given)
+        sbc(**given)
 
 
 def test_a_model_without_priors_has_nothing_to_rank():
@@ -301,7 +296,7 @@ def test_a_model_without_priors_has_nothing_to_rank():
         return made
 
     with pytest.raises(InputError, match="no parameter with a prior"):
-        simulation_based_calibration(bare, "linearized", datasets=1, **TINY | {"priors": {}})
+        sbc(bare, "linearized", datasets=1, **TINY | {"priors": {}})
 
 
 class TooSure(LinearizedGuide):
@@ -324,8 +319,8 @@ class TooSure(LinearizedGuide):
 @pytest.mark.slow
 def test_the_exact_guide_of_a_linear_swarm_passes_and_one_too_sure_does_not():
     sizes = {"frames": 30, "individuals": 3, "trials": 2, "priors": PRIORS, "draws": 99}
-    right = simulation_based_calibration("linear", "linearized", datasets=40, **sizes)
+    right = sbc("linear", "linearized", datasets=40, **sizes)
     # Six quantities: at a level of 0.05 / 6 all of them pass with 95 %.
-    assert (right["p_value"].values > 0.05 / 6).all()
-    wrong = simulation_based_calibration("linear", TooSure, datasets=40, **sizes)
-    assert (wrong["p_value"].values < 0.05 / 6).sum() >= 4
+    assert (right.data["p_value"].values > 0.05 / 6).all()
+    wrong = sbc("linear", TooSure, datasets=40, **sizes)
+    assert (wrong.data["p_value"].values < 0.05 / 6).sum() >= 4

@@ -1,4 +1,4 @@
-r"""Whether ranks are uniform: bands that hold the whole of an empirical distribution function.
+r"""Uniformity of ranks: simultaneous bands of an empirical distribution function.
 
 Ranks of a truth among L draws of its posterior are uniform on 0, ..., L if the posterior is right.
 Of N such ranks let :math:`N_k` be how many are below k. Under uniformity

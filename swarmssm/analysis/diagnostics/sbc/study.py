@@ -1,4 +1,4 @@
-"""Simulation-based calibration: whether a posterior is as sure as it may be."""
+"""Simulation-based calibration: fits of data sets drawn from the model itself."""
 
 import json
 import time
@@ -13,20 +13,21 @@ import torch
 import xarray as xr
 
 from swarmssm import inference
-from swarmssm.analysis.diagnostics.calibration.parameter_names import named_draws, named_numbers
-from swarmssm.analysis.diagnostics.calibration.ranks import calibration_of_ranks
-from swarmssm.analysis.diagnostics.calibration.synthetic import (
+from swarmssm.analysis.diagnostics.sbc.parameter_names import named_draws, named_numbers
+from swarmssm.analysis.diagnostics.sbc.ranks import Calibration, calibration_of_ranks
+from swarmssm.analysis.diagnostics.sbc.simulated import (
     FixedModel,
-    SyntheticData,
+    SimulatedData,
     standard_scales,
 )
+from swarmssm.analysis.diagnostics.studies import check_whole, failures, name_of, run_study
 from swarmssm.analysis.posterior.accelerations import posterior_paths
 from swarmssm.errors import InputError, WorkError
-from swarmssm.jobs import Progress, Row, parallel_map
+from swarmssm.jobs import Progress, Row
 from swarmssm.models import Scales
 from swarmssm.models.parameters import priors_of
 
-__all__ = ["STATE_QUANTITIES", "simulation_based_calibration"]
+__all__ = ["STATE_QUANTITIES", "sbc"]
 
 #: From states (trial, time, individual, state) to a number.
 Quantity = Callable[[torch.Tensor], float]
@@ -61,7 +62,7 @@ STATE_QUANTITIES: dict[str, Quantity] = {
 class _Calibrate:
     """Draw one data set, fit it, and rank the truth."""
 
-    data: SyntheticData
+    data: SimulatedData
     guide: str | Callable[..., Any]
     settings: Mapping[str, Any]
     draws: int
@@ -122,7 +123,7 @@ def _note(
     row["low"][name], row["high"][name] = float(low), float(high)
 
 
-def simulation_based_calibration(
+def sbc(
     model: str | Callable[..., Any] = "boids",
     guide: str | Callable[..., Any] = "auto",
     *,
@@ -142,17 +143,16 @@ def simulation_based_calibration(
     resume: bool = False,
     progress: Callable[[Progress], None] | None = None,
     **settings: Any,
-) -> xr.Dataset:
+) -> Calibration:
     r"""Calibrate a model and guide by simulation (Talts et al. 2018, arXiv:1804.06788).
 
-    Parameters are drawn from their priors, first states, paths and sightings by them; the data set
-    is fitted. Over many of them the truth is anywhere among draws from its posterior with the same
-    probability, whatever the priors - if the posterior is right. A guide that is too sure puts it
+    Parameters are drawn from their priors, then initial states, paths and observations given them;
+    each data set is fitted. If posteriors are exact, the rank of the true value among posterior
+    draws is uniform over data sets, whatever the priors. An overconfident posterior puts the truth
     among the lowest and highest draws too often, a biased one on one side.
 
-    Everything is drawn from the model's own joint distribution, so that an exact posterior passes.
-    One prior must hold for all data sets, and does not depend on them: the model is built from
-    given scales, once.
+    Everything is drawn from the joint distribution of the model, so that an exact posterior passes.
+    The prior is the same for all data sets: the model is built once, from given scales.
 
     Parameters
     ----------
@@ -160,53 +160,55 @@ def simulation_based_calibration(
         As in :func:`swarmssm.inference.fit`. A state-space model of which all parameters have
         priors.
     datasets
-        Their number.
+        Number of data sets.
     draws
-        From each posterior, independent; ranks are 0 to ``draws``. With 199 all levels of
-        coverage are hit exactly.
+        Independent draws from each posterior; ranks are 0 to ``draws``. With 199 the coverage at
+        all levels can be exact.
     frames, individuals, trials
-        Sizes of a data set, all trials with the same parameters.
+        Size of a data set; all its trials have the same parameters.
     scales
-        From which the model takes its default priors: of the tracks that are like those of
-        interest (:func:`swarmssm.models.scales_of`). Absent,
-        :func:`~swarmssm.analysis.diagnostics.calibration.synthetic.standard_scales`.
+        From which the model takes its default priors, for instance those of a recording
+        (:func:`swarmssm.models.scales_of`). Absent,
+        :func:`~swarmssm.analysis.diagnostics.sbc.simulated.standard_scales`.
     spread
-        ``LogNormal`` priors that the model comes with are made this wide where they are wider,
-        for the simulation and the fit; ``None``: they are left as they are. See
-        :class:`~swarmssm.analysis.diagnostics.calibration.synthetic.FixedModel`.
+        Upper limit of the width of the model's own ``LogNormal`` priors, for simulation and fit;
+        ``None``: no limit. See
+        :class:`~swarmssm.analysis.diagnostics.sbc.simulated.FixedModel`.
     graph
-        Who sees whom, see ``SyntheticData``.
+        Neighbourhood rule, see ``SimulatedData``.
     path_draws
-        Draws of the states, for ranks of ``quantities``; 0 for none. Each costs a smoother.
+        Draws of the states, for ranks of ``quantities``; 0 for none. Each takes a smoother.
     quantities
         Name -> function of the states ``(trial, time, individual, state)``; absent,
         :data:`STATE_QUANTITIES`.
     seed
-        Of everything; data set k is the same whatever their number.
+        Seed; data set k does not depend on their number.
     processes
         Data sets at once.
     out
-        File of lines of JSON, one for each data set as it is finished.
+        File of JSON lines, one for each data set as it is finished.
     resume
-        Go on with ``out``; also with more data sets than at first.
+        Continue ``out``; ``datasets`` may have grown.
     progress
-        Called at the beginning and after each data set.
+        Called at the start and after each data set.
     **settings
-        Of :func:`swarmssm.inference.fit`; ``model_options`` and ``priors`` are those of the
-        simulation too. With a linearized guide no frames are ``given`` unless
-        ``guide_options`` say so: simulated groups begin as the model says.
+        Of :func:`swarmssm.inference.fit`; ``model_options`` and ``priors`` hold for the simulation
+        too. With a linearized guide no frames are ``given`` unless ``guide_options`` say so:
+        initial states of simulated groups follow the model.
 
     Returns
     -------
-    See :func:`~swarmssm.analysis.diagnostics.calibration.calibration_of_ranks`, with the truth and
-    the posterior of each data set besides. A data set whose simulation or fit fails is counted in
-    ``attrs["failed"]``, with the reasons, and is not among the ranks: a posterior is calibrated
-    only if hardly any do.
+    Its ``data`` are those of
+    :func:`~swarmssm.analysis.diagnostics.sbc.calibration_of_ranks`, with the truth and the
+    posterior of each data set besides. A data set whose simulation or fit fails is counted in
+    ``attrs["failed"]``, with the reasons, and has no rank: a posterior is calibrated only if few
+    fail.
 
     Raises
     ------
     InputError
-        If an argument is wrong, the model has a weight without a prior, or ``out`` does not fit.
+        If an argument is invalid, the model has a weight without a prior, or ``out`` has other
+        settings.
     WorkError
         If all data sets fail, or nothing can be written.
     """
@@ -217,26 +219,26 @@ def simulation_based_calibration(
         ("individuals", individuals),
         ("trials", trials),
     ):
-        _check_count(name, value, 1)
-    _check_count("path_draws", path_draws, 0)
-    _check_count("seed", seed, 0)
+        check_whole(name, value, 1)
+    check_whole("path_draws", path_draws, 0)
+    check_whole("seed", seed, 0)
     options = dict(settings.pop("model_options", {}))
     priors = dict(settings.pop("priors", {}))
     own = standard_scales(individuals) if scales is None else scales
     fixed = FixedModel(model, own, options, priors, spread)
     if not priors_of(fixed()):
-        raise InputError(f"model: {fixed.name} has no parameter with a prior to be ranked.")
+        raise InputError(f"model: {fixed.name} has no parameter with a prior to rank.")
     if guide == "auto":
         guide = fixed.default_guide()
     if guide == "linearized":
         settings["guide_options"] = {"given": 0, **settings.get("guide_options", {})}
     chosen = STATE_QUANTITIES if quantities is None else dict(quantities)
-    data = SyntheticData(fixed, frames, individuals, trials, graph)
+    data = SimulatedData(fixed, frames, individuals, trials, graph)
     work = _Calibrate(data, guide, settings, draws, path_draws, chosen, seed)
-    told = {
-        "study": "calibration",
+    metadata = {
+        "study": "sbc",
         "model": fixed.name,
-        "guide": guide if isinstance(guide, str) else getattr(guide, "__qualname__", repr(guide)),
+        "guide": name_of(guide),
         "draws": draws,
         "frames": frames,
         "individuals": individuals,
@@ -251,24 +253,21 @@ def simulation_based_calibration(
         "seed": seed,
         "fit": settings,
     }
-    rows = parallel_map(
+    rows = run_study(
         work,
-        range(datasets),
-        settings=told,
+        datasets,
+        metadata,
         out=out,
         resume=resume,
         processes=processes,
         progress=progress,
     )
-    return _gather(rows, draws, told)
+    return Calibration(_labelled(rows, draws, metadata))
 
 
-def _gather(rows: Sequence[Row], draws: int, told: Mapping[str, Any]) -> xr.Dataset:
+def _labelled(rows: Sequence[Row], draws: int, metadata: Mapping[str, Any]) -> xr.Dataset:
     """Return the calibration of the rows that did not fail, with truths and posteriors."""
-    failed = [str(row["failed"]) for row in rows if "failed" in row]
     good = [row for row in rows if "failed" not in row]
-    if not good:
-        raise WorkError(f"All {len(rows)} data sets failed, the first one so: {failed[0]}")
     names = list(good[0]["rank"])
     found = calibration_of_ranks(
         {name: [row["rank"][name] for row in good] for name in names}, draws
@@ -288,16 +287,5 @@ def _gather(rows: Sequence[Row], draws: int, told: Mapping[str, Any]) -> xr.Data
         {"long_name": "time of a fit", "units": "s"},
     )
     found = found.assign_coords(dataset=[row["index"] for row in good])
-    reasons = sorted({reason: failed.count(reason) for reason in failed}.items())
-    found.attrs |= {
-        "failed": len(failed),
-        "failures": "; ".join(f"{count} x {reason}" for reason, count in reasons),
-        "settings": json.dumps(told, default=str),
-    }
+    found.attrs |= {**failures(rows), "settings": json.dumps(metadata, default=str)}
     return found
-
-
-def _check_count(name: str, value: Any, least: int) -> None:
-    """Refuse what is no whole number, or too small a one."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-        raise InputError(f"{name}: it must be a whole number from {least}, not {value!r}.")

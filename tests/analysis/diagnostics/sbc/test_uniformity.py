@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from swarmssm.analysis.diagnostics.calibration.uniformity import (
+from swarmssm.analysis.diagnostics.sbc.uniformity import (
     ecdf_band,
     histogram_interval,
     inside_probability,
