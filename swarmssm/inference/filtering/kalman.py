@@ -25,9 +25,9 @@ __all__ = [
     "Smoothed",
     "extended_kalman",
     "filter_with",
+    "filtered_at",
     "gains_of",
     "kalman",
-    "last_filtered",
     "smooth",
 ]
 
@@ -151,25 +151,39 @@ def filter_with(
         return _run(*_sources(model, batch, linearizer))
 
 
-def last_filtered(
-    model: StateSpaceModel, batch: SwarmBatch, values: Mapping[str, Tensor]
+def filtered_at(
+    model: StateSpaceModel,
+    batch: SwarmBatch,
+    values: Mapping[str, Tensor],
+    windows: Tensor,
+    frames: Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """Return what :func:`extended_kalman` ends with, and keep nothing of the way there.
+    """Return what :func:`extended_kalman` knows at some frames, and keep nothing else.
 
     Parameters
     ----------
     model, batch, values
         As in :func:`extended_kalman`.
+    windows, frames
+        ``(origin,)``: window and frame of each state that is wanted.
 
     Returns
     -------
-    Mean ``(batch, individual, state)`` and covariance ``(batch, joint, joint)`` of the last frame.
+    Mean ``(origin, individual, state)`` and covariance ``(origin, joint, joint)``, given the
+    frames up to the same one.
     """
+    order, means, covariances = [], [], []
     with model.fixed(values):
         window, step, observe = _sources(model, batch, Taylor())
-        *_, last = _through(window, step, observe)
-        mean, covariance = last.filtered
-        return window.split(mean), covariance
+        for time, frame in enumerate(_through(window, step, observe)):
+            wanted = torch.nonzero(frames == time).flatten()
+            if len(wanted):
+                mean, covariance = frame.filtered
+                order.append(wanted)
+                means.append(window.split(mean)[windows[wanted]])
+                covariances.append(covariance[windows[wanted]])
+    back = torch.argsort(torch.cat(order))
+    return torch.cat(means)[back], torch.cat(covariances)[back]
 
 
 def _sources(

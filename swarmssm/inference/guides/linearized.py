@@ -10,9 +10,8 @@ from swarmssm.errors import InputError, WorkError
 from swarmssm.inference.filtering.evidence import ITERATIONS, linearization_points
 from swarmssm.inference.filtering.kalman import (
     Filtered,
-    extended_kalman,
+    filtered_at,
     kalman,
-    last_filtered,
     smooth,
 )
 from swarmssm.inference.filtering.layouts import JOINT_LIMIT, Frames, Layout, Points, frames_of
@@ -127,18 +126,24 @@ class LinearizedGuide(PathGuide):
         dtype = batch.observations.dtype
         return frames.paths(rows.squeeze(0)).to(dtype), frames.total(density).to(dtype)
 
+    def can_filter(self, num_individuals: int) -> bool:
+        """Return whether the joint state of so many individuals is filtered in one pass.
+
+        The average model of a larger swarm is searched as in :meth:`path`.
+        """
+        return self.layout != "blocks" and num_individuals <= JOINT_LIMIT and not self.has_edges
+
     def last_state(
         self, batch: SwarmBatch, values: Mapping[str, torch.Tensor], draws: int
     ) -> torch.Tensor:
         """Draw the last state of each window by the extended Kalman filter alone.
 
         No later frame could improve the linearisation, and the filter goes through the window once.
-        See :meth:`PathGuide.last_state`; the average model of a large swarm is searched as in
-        :meth:`path`.
+        See :meth:`PathGuide.last_state`.
         """
         if batch.num_individuals > JOINT_LIMIT or self.layout == "blocks":
             return super().last_state(batch, values, draws)
-        mean, covariance = last_filtered(self.model, batch, values)
+        mean, covariance = filtered_at(self.model, batch, values, *_ends(batch))
         return mean if not draws else _about(mean, covariance, draws)
 
     def last_states(
@@ -146,37 +151,77 @@ class LinearizedGuide(PathGuide):
     ) -> torch.Tensor:
         """Draw the last state of each window with each of some draws of the parameters.
 
-        See :meth:`PathGuide.last_states`; one filter goes through the windows for many draws.
+        See :meth:`PathGuide.last_states` and :meth:`filtered_states`.
         """
-        large = batch.num_individuals > JOINT_LIMIT or self.layout == "blocks"
-        if large or not all(values):
+        if batch.num_individuals > JOINT_LIMIT or self.layout == "blocks":
             return super().last_states(batch, values)
+        return self.filtered_states(batch, values, *_ends(batch))
+
+    def filtered_states(
+        self,
+        batch: SwarmBatch,
+        values: Sequence[Mapping[str, torch.Tensor]],
+        windows: torch.Tensor,
+        frames: torch.Tensor,
+    ) -> torch.Tensor:
+        """Draw the states of some frames given those up to each, with each draw of the parameters.
+
+        One filter goes through the windows for many draws of the parameters.
+
+        Parameters
+        ----------
+        batch
+            Windows of a swarm that :meth:`can_filter` allows.
+        values
+            Drawn parameters, by full name, one draw after the other.
+        windows, frames
+            ``(origin,)``: window and frame of each state.
+
+        Returns
+        -------
+        ``(draw, origin, individual, state)``.
+        """
+
+        def at(own: Mapping[str, torch.Tensor]) -> tuple[torch.Tensor, torch.Tensor]:
+            return filtered_at(self.model, batch, own, windows, frames)
+
+        def one_by_one() -> torch.Tensor:
+            return torch.stack([_about(*at(drawn), 1)[0] for drawn in values])
+
+        if not values[0]:
+            return _about(*at({}), len(values))
         stacked = {name: torch.stack([drawn[name] for drawn in values]) for name in values[0]}
-
-        def ends(own: dict[str, torch.Tensor]) -> tuple[torch.Tensor, torch.Tensor]:
-            return last_filtered(self.model, batch, own)
-
         each = len(batch) * (batch.num_individuals * self.model.state_dim) ** 2
         try:
-            mean, covariance = vmap(ends, chunk_size=max(1, CHUNK // each))(stacked)
+            mean, covariance = vmap(at, chunk_size=max(1, CHUNK // each))(stacked)
         except WorkError:
             raise
         except RuntimeError:
             # A transition or edges whose course depends on numbers, which vmap cannot follow.
-            return super().last_states(batch, values)
-        drawn = [_about(m, c, 1)[0] for m, c in zip(mean, covariance, strict=True)]
-        return torch.stack(drawn)
+            return one_by_one()
+        return torch.stack([_about(m, c, 1)[0] for m, c in zip(mean, covariance, strict=True)])
 
     def filtered_mean(
-        self, batch: SwarmBatch, values: Mapping[str, torch.Tensor]
-    ) -> torch.Tensor | None:
-        """Return the mean of each state given the frames up to its own, in one pass.
+        self,
+        batch: SwarmBatch,
+        values: Mapping[str, torch.Tensor],
+        windows: torch.Tensor,
+        frames: torch.Tensor,
+    ) -> torch.Tensor:
+        """Return the mean of the states of some frames given those up to each.
 
-        ``(batch, time, individual, state)``; ``None`` for a swarm too large for a joint filter.
+        Parameters
+        ----------
+        batch, windows, frames
+            As in :meth:`filtered_states`.
+        values
+            Parameters, by full name.
+
+        Returns
+        -------
+        ``(origin, individual, state)``.
         """
-        if batch.num_individuals > JOINT_LIMIT or self.layout == "blocks":
-            return None
-        return extended_kalman(self.model, batch, values).mean
+        return filtered_at(self.model, batch, values, windows, frames)[0]
 
     def mean_path(self, batch: SwarmBatch, values: Mapping[str, torch.Tensor]) -> torch.Tensor:
         """Return the smoothed mean of each window; see :meth:`PathGuide.mean_path`."""
@@ -196,6 +241,12 @@ class LinearizedGuide(PathGuide):
         with self.model.fixed(values):
             frames = frames_of(self.model, batch, self.layout)
             return frames, kalman(frames.system(points))
+
+
+def _ends(batch: SwarmBatch) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the last frame of each window, as windows and frames."""
+    windows = torch.arange(len(batch), device=batch.mask.device)
+    return windows, torch.full_like(windows, batch.num_times - 1)
 
 
 def _about(mean: torch.Tensor, covariance: torch.Tensor, draws: int) -> torch.Tensor:

@@ -215,18 +215,9 @@ class StateSpacePredictor(Predictor):
         rows = torch.arange(num_times).repeat(num_trials)
         width = self.model.edges.hidden if isinstance(self.model.edges, InferredEdges) else 1
         size = max(1, CHUNK // (self.window * individuals * max(individuals, 16) * width))
-        whole = None if sample else self._begin_everywhere(prepared)
         states, edges = [], []
         for index in torch.split(torch.arange(len(rows)), size):
-            if whole is None:
-                start = self.begin(prepared, trials[index], rows[index], int(sample))
-            else:
-                start = InitialCondition(
-                    whole.states[index],
-                    whole.adjacency[index],
-                    whole.present[index],
-                    whole.unscaled[index],
-                )
+            start = self.begin(prepared, trials[index], rows[index], int(sample))
             path = self.run(start, 1, sample=sample)
             lead = (0,) if sample else ()
             states.append(path.states[(*lead, slice(None), 0)])
@@ -234,23 +225,6 @@ class StateSpacePredictor(Predictor):
         shape = (num_trials, num_times)
         joined = [torch.unflatten(torch.cat(part), 0, shape) for part in (states, edges)]
         return joined[0], joined[1]
-
-    @torch.no_grad()
-    def _begin_everywhere(self, prepared: Prepared) -> InitialCondition | None:
-        """Return the filtered mean at every frame, if the guide can filter whole trials at once."""
-        if not isinstance(self.guide, LinearizedGuide) or self.guide.has_edges:
-            return None
-        trials = torch.arange(len(prepared.mask))
-        batch = frames_of(prepared, trials, torch.zeros_like(trials), prepared.mask.shape[1])
-        # Nobody is known to leave before the next frame is seen.
-        come = batch.mask.long().cumsum(1) > 0
-        with pyro.validation_enabled(False):
-            mean = self.guide.filtered_mean(replace(batch, present=come), self._middle())
-        if mean is None:
-            return None
-        present = batch.mask.flatten(0, 1)
-        graph = dense(batch.adjacency, mean.dtype).flatten(0, 1)
-        return self._beginning(mean.flatten(0, 1), present, graph)
 
     @owning
     @torch.no_grad()
@@ -264,6 +238,9 @@ class StateSpacePredictor(Predictor):
         carry: bool = False,
     ) -> InitialCondition:
         """Filter the histories that end at given frames; see :meth:`Predictor.begin`."""
+        guide = self.guide
+        if isinstance(guide, LinearizedGuide) and guide.can_filter(prepared.mask.shape[-1]):
+            return self._begin_filtered(guide, prepared, trials, rows, draws, carry)
         batch = self._histories(prepared, trials, rows, carry)
         if isinstance(self.model.edges, InferredEdges):
             return self._begin_with_edges(batch, draws)
@@ -276,6 +253,42 @@ class StateSpacePredictor(Predictor):
             states, values = last.expand(*shape, *last.shape), self._draw_parameters(draws)
         else:
             states, values = self._last_states(batch, draws)
+        return self._beginning(states, present, graph, values)
+
+    def _begin_filtered(
+        self,
+        guide: LinearizedGuide,
+        prepared: Prepared,
+        trials: torch.Tensor,
+        rows: torch.Tensor,
+        draws: int,
+        carry: bool,
+    ) -> InitialCondition:
+        """Filter each stretch of a trial once, for all frames in it that are gone on from.
+
+        Each of these has at least :attr:`window` frames of history. Individuals take part in the
+        filter from when they are seen until they have been out of sight for so long.
+        """
+        starts, windows, frames, length = _stretches(trials, rows, self.window)
+        batch = frames_of(prepared, *starts, length)
+        counted = batch.mask.long().cumsum(1)
+        before = torch.nn.functional.pad(counted, (0, 0, self.window, 0))[:, :length]
+        batch = replace(batch, present=counted > before)
+        named = bool(priors_of(self.model)) and draws > 0
+        values: tuple[Values, ...] | None = None
+        with pyro.validation_enabled(False):
+            if named:
+                values = tuple(guide.parameters_guide() for _ in range(draws))
+            if draws:
+                drawn = values or (self._middle(),) * draws
+                states = guide.filtered_states(batch, drawn, windows, frames)
+            else:
+                states = guide.filtered_mean(batch, self._middle(), windows, frames)
+        reach = torch.arange(MAX_CARRY + 1 if carry else 1)
+        recent = rows.unsqueeze(-1) - reach
+        shown = prepared.mask[trials.unsqueeze(-1), recent.clamp(min=0)]
+        present = (shown & (recent >= 0).unsqueeze(-1)).any(1)
+        graph = prepared.adjacency[trials, rows].to(states.dtype)
         return self._beginning(states, present, graph, values)
 
     def _begin_with_edges(self, batch: SwarmBatch, draws: int) -> InitialCondition:
@@ -542,3 +555,31 @@ def _one_draw(beginning: InitialCondition, draw: int) -> InitialCondition:
         beginning.unscaled[draw],
         edges=None if beginning.edges is None else beginning.edges[draw],
     )
+
+
+def _stretches(
+    trials: torch.Tensor, rows: torch.Tensor, window: int
+) -> tuple[tuple[torch.Tensor, torch.Tensor], torch.Tensor, torch.Tensor, int]:
+    """Return windows that hold some frames with at least ``window`` frames up to each.
+
+    Returns
+    -------
+    Trial and first row of each window; window and frame of each given row; the windows' length.
+    """
+    order = sorted(range(len(rows)), key=lambda i: (int(trials[i]), int(rows[i])))
+    groups: list[list[int]] = []
+    for index in order:
+        same = groups and trials[groups[-1][0]] == trials[index]
+        if same and rows[index] - rows[groups[-1][0]] < window:
+            groups[-1].append(index)
+        else:
+            groups.append([index])
+    longest = max(int(rows[group[-1]] - rows[group[0]]) for group in groups)
+    length = window + longest
+    last = torch.stack([rows[group[-1]] for group in groups])
+    starts = last - (length - 1)
+    windows = torch.empty_like(rows)
+    for number, group in enumerate(groups):
+        windows[group] = number
+    which = torch.stack([trials[group[0]] for group in groups])
+    return (which, starts), windows, rows - starts[windows], length
