@@ -96,7 +96,8 @@ def test_stretches_hold_every_frame_with_its_history():
     assert length == 6 + 2
     assert torch.equal(which[windows], trials)
     assert torch.equal(starts[windows] + frames, rows)
-    assert frames.min() >= 5 and frames.max() < length
+    assert frames.min() >= 5
+    assert frames.max() < length
 
 
 def test_a_trial_filtered_once_gives_what_each_history_gives():
