@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from swarmssm.analysis.interpretation.influence.delays import first_to_turn
 from swarmssm.analysis.posterior.intervals import quantiles
 from swarmssm.analysis.scoring.table import NOTHING, format_number, format_unit
 
@@ -234,21 +235,20 @@ def _of_influence(found: xr.Dataset) -> Iterator[Row]:
 
 
 def _of_delays(found: xr.Dataset) -> Iterator[Row]:
-    lead = found["lead"]
-    if not lead.notnull().any():
+    first = first_to_turn(found)
+    if first is None:
         return
-    first = int(lead.argmax("individual"))
-    one = found.isel(individual=first)
     known = int(found["delay_of_pair"].notnull().sum()) // 2
     number = found.sizes["individual"]
     yield Row(
         "delays",
-        f"the others follow {lead['individual'].to_numpy()[first]} by",
-        float(one["lead"]),
-        float(one["lead_interval"].sel(quantile=0.05)),
-        float(one["lead_interval"].sel(quantile=0.95)),
+        f"the others follow {first.name} by",
+        first.lead,
+        first.low,
+        first.high,
         "s",
-        f"directions alone, no model; {known} of {number * (number - 1) // 2} pairs have a delay",
+        f"directions alone, no model; {known} of {number * (number - 1) // 2} pairs have a delay, "
+        f"each to one frame, {format_number(float(found.attrs['time_step']), 2)} s",
     )
 
 

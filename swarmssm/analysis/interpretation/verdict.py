@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
+from swarmssm.analysis.interpretation.influence.delays import first_to_turn
 from swarmssm.analysis.posterior.intervals import quantiles
 from swarmssm.analysis.posterior.joining import joined
 from swarmssm.analysis.scoring.differences import paired_difference
@@ -112,8 +113,11 @@ def verdict_of(datasets: Mapping[str, xr.Dataset]) -> str:
         parts += _kernels(datasets["kernels"])
     if "delays" in datasets:
         parts += _delays(datasets["delays"])
-    parts.append(_forecasts(datasets["scores"]) if "scores" in datasets else UNTESTED)
-    return " ".join(parts)
+    if "scores" in datasets:
+        parts.append(_forecasts(datasets["scores"]))
+    elif datasets.keys() - {"delays", "parameters"}:
+        parts.append(UNTESTED)
+    return " ".join(parts) or "No individual turns before the others beyond chance."
 
 
 UNTESTED = "Forecasts were not scored: whether the rule can be believed is not known."
@@ -172,19 +176,11 @@ def _kernels(found: xr.Dataset) -> list[str]:
 
 def _delays(found: xr.Dataset) -> list[str]:
     """Say who turns first, if that is beyond chance."""
-    low = found["lead_interval"].sel(quantile=0.05)
-    if not (low > 0).any():
+    first = first_to_turn(found)
+    if first is None or not first.low > 0:
         return []
-    first = int(found["lead"].where(low > 0).argmax("individual"))
-    name = str(found["individual"].to_numpy()[first])
-    lead, start, end = (
-        format_number(float(value), 2)
-        for value in (
-            found["lead"][first],
-            low[first],
-            found["lead_interval"].sel(quantile=0.95)[first],
-        )
-    )
+    name = first.name
+    lead, start, end = (format_number(v, 2) for v in (first.lead, first.low, first.high))
     return [
         f"By directions alone, {name} turns first, {lead} s before the others ({start} to {end})."
     ]

@@ -3,8 +3,8 @@ r"""Who turns first: leadership by the delay at which directions agree best, wit
 .. math:: C_{ij}(\tau) = \langle \hat v_i(t) \cdot \hat v_j(t - \tau) \rangle_t
 
 is how well the direction of i agrees with that of j a time :math:`\tau` before. Where it is highest
-at :math:`\tau_{ij} > 0`, i follows j with that delay (Nagy et al. 2010). It stands beside what a
-model says of influence: it needs no model, and it cannot tell following from heeding the same
+at :math:`\tau_{ij} > 0`, i follows j with that delay (Nagy et al. 2010). It needs no
+model, and it cannot tell following from heeding the same
 third one.
 
 References
@@ -23,7 +23,7 @@ from swarmssm.analysis.interpretation.forces.frames import QUANTILES, labels_of
 from swarmssm.errors import InputError
 from swarmssm.tracks import Array, states_of, validate_tracks, with_trials
 
-__all__ = ["leadership_delays"]
+__all__ = ["FirstToTurn", "first_to_turn", "leadership_delays"]
 
 #: Longest delay, as a part of the longest trial and in seconds, unless the caller gives one.
 PART, LONGEST = 0.1, 5.0
@@ -170,6 +170,30 @@ MEANINGS = {
     "follows_probability": ("1", "share of resampled recordings in which individual follows"),
     "delay": ("s", "time by which neighbor's direction is earlier"),
 }
+
+
+class FirstToTurn(NamedTuple):
+    """Whom the others follow with the longest delay, in s; the ends of the interval NaN without."""
+
+    name: str
+    lead: float
+    low: float
+    high: float
+
+
+def first_to_turn(delays: xr.Dataset) -> FirstToTurn | None:
+    """Return who turns first by :func:`leadership_delays`; ``None`` where no pair has a delay.
+
+    A delay is known to one frame: half a frame is added to the interval on either side.
+    """
+    lead = delays["lead"].to_numpy()
+    if not np.isfinite(lead).any():
+        return None
+    first = int(np.nanargmax(lead))
+    half = 0.5 * float(delays.attrs["time_step"])
+    low, high = (delays["lead_interval"].sel(quantile=q).to_numpy()[first] for q in (0.05, 0.95))
+    name = str(delays["individual"].to_numpy()[first])
+    return FirstToTurn(name, float(lead[first]), float(low) - half, float(high) + half)
 
 
 class _Sums(NamedTuple):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from swarmssm.analysis.interpretation.influence.delays import leadership_delays
+from swarmssm.analysis.interpretation.influence.delays import first_to_turn, leadership_delays
 from swarmssm.errors import InputError
 from swarmssm.tracks import make_tracks
 
@@ -38,6 +38,13 @@ def test_followers_have_the_delay_they_were_made_with():
     )
     assert float(found["follows_probability"][1, 0]) == 1.0
     assert float(found["follows_probability"][0, 1]) == 0.0
+    # A delay is known to one frame.
+    first = first_to_turn(found)
+    half = 0.5 / FPS
+    assert first.name == "0"
+    np.testing.assert_allclose(
+        [first.low, first.lead, first.high], 0.25 + np.array([-half, 0, half])
+    )
 
 
 def test_correlations_are_the_mean_over_pairs_of_frames():
@@ -74,6 +81,7 @@ def test_noise_leaves_the_delay_and_mirror_images_are_opposite():
 def test_who_turn_together_follow_nobody():
     found = leadership_delays(followers([0, 0], 400), 0.5)
     np.testing.assert_array_equal(found["lead"], 0.0)
+    assert not first_to_turn(found).low > 0
 
 
 def test_strangers_follow_nobody():
@@ -84,6 +92,7 @@ def test_strangers_follow_nobody():
     found = leadership_delays(tracks, 0.5)
     assert found["delay_of_pair"].isnull().all()
     assert found["lead"].isnull().all()
+    assert first_to_turn(found) is None
 
 
 def test_those_far_apart_are_not_counted():
