@@ -16,7 +16,7 @@ import numpy as np
 import torch
 import xarray as xr
 
-from swarmssm.analysis.scoring.compare import compare
+from swarmssm.analysis.scoring import compare
 from swarmssm.inference import Fit, fit
 from swarmssm.models import InitialStates, PositionEmission, Scales, StateSpaceModel
 from swarmssm.models.parameters import assign
@@ -83,7 +83,7 @@ def main() -> None:
         tracks = simulate(seed, 0.0 if options.reverse else ALIGNMENT)
         fits = fitted(tracks, seed)
         more = {} if options.method == "held-out" else {"draws": 200, "window": 5}
-        result = compare(fits, tracks, method=options.method, seed=seed, **more)
+        result = compare(fits, tracks, method=options.method, seed=seed, **more).data
         names = [str(name) for name in result["model"].values if str(name) in fits]
         behind = result.sel(model=names[1])
         margin, error = float(behind["difference"]), float(behind["difference_se"])

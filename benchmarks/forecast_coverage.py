@@ -26,7 +26,7 @@ from swarmssm.analysis.diagnostics.sbc.simulated import (
     SimulatedData,
     standard_scales,
 )
-from swarmssm.analysis.scoring import backtest
+from swarmssm.analysis.scoring import score
 from swarmssm.errors import WorkError
 
 INDIVIDUALS = 8
@@ -81,7 +81,7 @@ def one(number: int, options: argparse.Namespace) -> dict[str, object]:
         for name, priors in zip(NAMES, (PRIORS, told), strict=True)
     }
     fitted = time.process_time() - began
-    found = backtest(
+    found = score(
         fits, tracks, horizons=HORIZONS, origins=options.origins, draws=options.draws, seed=number
     )
     row = {

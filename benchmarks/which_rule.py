@@ -17,7 +17,7 @@ import torch
 import xarray as xr
 
 from swarmssm import inference, io
-from swarmssm.analysis.scoring import backtest, score_table, sentence
+from swarmssm.analysis.scoring import score, score_table, verdict
 from swarmssm.datasets import load_dataset
 from swarmssm.inference import Fit
 
@@ -64,12 +64,15 @@ def main() -> None:
             model: fitted(options.folder / f"{name}-{model}", model, tracks, options.steps)
             for model in MODELS
         }
-        found = backtest(fits, tracks, horizons=HORIZONS, origins=options.origins)
-        for score, words in (("log_score", "log score, nats per coordinate"), ("crps", "CRPS")):
+        found = score(fits, tracks, horizons=HORIZONS, origins=options.origins)
+        for variable, words in (
+            ("log_score", "log score, nats per coordinate"),
+            ("crps", "CRPS"),
+        ):
             print(f"\n{name}: {words}, after steps {found['horizon'].values.tolist()}")
-            for model, row in score_table(found, score).to_pandas().iterrows():
+            for model, row in score_table(found, variable).to_pandas().iterrows():
                 print(f"  {model:18s}", " ".join(f"{value:8.2f}" for value in row))
-        print(sentence(found))
+        print(verdict(found))
 
 
 if __name__ == "__main__":

@@ -57,24 +57,29 @@ from swarmssm.analysis.report import (
     write_report,
 )
 from swarmssm.analysis.scoring import (
-    backtest,
+    Comparison,
+    Evaluation,
+    compare,
+    evaluate,
     paired_difference,
+    score,
     score_intervals,
     score_table,
     skill,
+    summary,
+    verdict,
 )
-from swarmssm.analysis.scoring.compare import compare, comparison_table
-from swarmssm.analysis.scoring.evaluate import evaluate
-from swarmssm.analysis.scoring.evaluation import Evaluation
 from swarmssm.analysis.scoring.forecast_fans import forecast_fan
-from swarmssm.analysis.scoring.table import edge_table, format_number, horizon_table, scores_table
+from swarmssm.analysis.scoring.table import format_number
 from swarmssm.analysis.scoring.thesis import FOOTNOTE as THESIS_FOOTNOTE
+from swarmssm.analysis.scoring.thesis_scores import edge_table, horizon_table, scores_table
 
 __all__ = [
     "STATISTICS",
     "THESIS_FOOTNOTE",
     "AccelerationModel",
     "Analysis",
+    "Comparison",
     "Evaluation",
     "PosteriorPaths",
     "Statistic",
@@ -82,12 +87,10 @@ __all__ = [
     "acceleration_model",
     "analysis_page",
     "analyze",
-    "backtest",
     "build_report",
     "check",
     "check_sentence",
     "compare",
-    "comparison_table",
     "edge_table",
     "evaluate",
     "find_isolated",
@@ -120,13 +123,16 @@ __all__ = [
     "report_run",
     "sbc",
     "scenes_of",
+    "score",
     "score_intervals",
     "score_table",
     "scores_table",
     "skill",
+    "summary",
     "to_inference_data",
     "true_forces",
     "true_kernels",
+    "verdict",
     "window_log_likelihood",
     "with_free_run",
     "write_report",

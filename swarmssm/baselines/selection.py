@@ -11,7 +11,7 @@ from swarmssm.tracks import Array
 
 __all__ = ["best_of", "learning_and_judging_parts", "rollout_error"]
 
-HORIZONS = (1, 5, 10, 20, 50)
+STEPS = (1, 5, 10, 20, 50)
 MOST_ORIGINS = 20
 #: Squared errors below this, in standard deviations, are rounding alone, and all the same.
 ROUNDING = 1e-16
@@ -58,7 +58,7 @@ def rollout_error(baseline: Baseline, states: Array, fps: float, history: int) -
     """
     num_times = states.shape[1]
     history = min(history, num_times - 1)
-    horizon = min(HORIZONS[-1], num_times - history)
+    horizon = min(STEPS[-1], num_times - history)
     origins = np.arange(history, num_times - horizon + 1)
     picked = np.unique(np.linspace(0, len(origins) - 1, MOST_ORIGINS).round().astype(int))
     origins = origins[picked]
@@ -69,7 +69,7 @@ def rollout_error(baseline: Baseline, states: Array, fps: float, history: int) -
         rows = states[known(states)]
         spread = rows.std(axis=0)
         squared = ((path - truth) / np.where(spread > 0, spread, 1.0)) ** 2
-    reached = np.array([k - 1 for k in HORIZONS if k <= horizon])
+    reached = np.array([k - 1 for k in STEPS if k <= horizon])
     # Whoever was forecast at the first step and has become NaN since has left all bounds.
     forecast = known(path[:, :, :1])
     scored = (known(truth) & forecast)[:, :, reached]

@@ -1,7 +1,7 @@
 """Every method on the same tracks, with the same scores, in one table."""
 
-from swarmssm.benchmark.measuring import FLOOR, METHODS, Measured, measure
-from swarmssm.benchmark.own import OWN
+from swarmssm.benchmark.measure_method import FLOOR, METHODS, Measured, measure
+from swarmssm.benchmark.models import MODELS
 from swarmssm.benchmark.results import (
     Results,
     collect,
@@ -10,7 +10,7 @@ from swarmssm.benchmark.results import (
     shown_rows,
 )
 from swarmssm.benchmark.running import Job, jobs_of, run_jobs
-from swarmssm.benchmark.task import HORIZONS, Task, make_task
+from swarmssm.benchmark.task import Task, make_task
 from swarmssm.benchmark.writing import (
     benchmark_page,
     check_outputs,
@@ -20,9 +20,8 @@ from swarmssm.benchmark.writing import (
 
 __all__ = [
     "FLOOR",
-    "HORIZONS",
     "METHODS",
-    "OWN",
+    "MODELS",
     "Job",
     "Measured",
     "Results",

@@ -25,9 +25,9 @@ PAIR = ("individual", "neighbor")
 def edge_scores(task: Task, method: Any) -> dict[str, float]:
     """Return the AUC of a method's edges against the true graph, and what chance would give.
 
-    What a type of edge means is not told to a method; which type stands for an interaction, and
+    What a type of edge means is unknown to a method; which type stands for an interaction, and
     whether it does so by being there or by being absent, is therefore chosen on the validation
-    part. Beside it stand the AUC of "the nearer, the surer", and the mean AUC of the method's own
+    part. Beside it stand the AUC of closeness alone, and the mean AUC of the method's own
     edges with individuals exchanged for others.
 
     Parameters
@@ -44,7 +44,7 @@ def edge_scores(task: Task, method: Any) -> dict[str, float]:
     """
     if "simulation" not in task.tracks.attrs or "adjacency" not in task.tracks:
         return {}
-    if not task.split.validation or not _tells(method):
+    if not task.split.validation or not _infers_edges(method):
         return {}
     chosen = _pairs(task, method, task.split.validation)
     scored = _pairs(task, method, task.split.test)
@@ -66,7 +66,7 @@ def edge_scores(task: Task, method: Any) -> dict[str, float]:
     }
 
 
-def _tells(method: Any) -> bool:
+def _infers_edges(method: Any) -> bool:
     """Return whether a method infers edges."""
     if isinstance(method, Fit):
         model = method.model
@@ -83,12 +83,12 @@ class _Pairs:
 
 
 def _pairs(task: Task, method: Any, segments: tuple[Segment, ...]) -> _Pairs | None:
-    """Return the true and the told edges of some frames of each segment."""
+    """Return the true and the inferred edges of some frames of each segment."""
     tracks = take(task.tracks, segments)
     states = states_of(tracks)
     if isinstance(method, Fit):
-        told = method.edge_probabilities(tracks)
-        edges = told.transpose("trial", "time", *PAIR, "edge_type").to_numpy()
+        inferred = method.edge_probabilities(tracks)
+        edges = inferred.transpose("trial", "time", *PAIR, "edge_type").to_numpy()
     else:
         edges = method.edge_probabilities(states, task.fps)
     edges = np.broadcast_to(edges, (*states.shape[:2], *edges.shape[2:]))

@@ -11,11 +11,11 @@ import xarray as xr
 
 from swarmssm.analysis.posterior.joining import joined
 from swarmssm.analysis.scoring import paired_difference
-from swarmssm.analysis.scoring.densities import mean_scores
+from swarmssm.analysis.scoring.scores import mean_scores
 from swarmssm.analysis.scoring.table import NOTHING, format_number
-from swarmssm.benchmark.measuring import FLOOR, Measured
-from swarmssm.benchmark.own import OWN
-from swarmssm.benchmark.parts import CachedResult
+from swarmssm.benchmark.measure_method import FLOOR, Measured
+from swarmssm.benchmark.measurements import CachedResult
+from swarmssm.benchmark.models import MODELS
 from swarmssm.benchmark.running import Job
 from swarmssm.benchmark.task import Task
 from swarmssm.tracks import Array
@@ -23,7 +23,7 @@ from swarmssm.tracks import Array
 __all__ = ["Results", "collect", "leader_sentence", "short_rows", "shown_rows"]
 
 #: Facts that are no numbers, or the same for each seed.
-PLAIN = ("title", "told", "parameters")
+PLAIN = ("title", "knows_true_form", "parameters")
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Results:
         ``failed`` the reason why there are no numbers.
     scores
         ``crps`` and ``log_score (model, origin, horizon)``, ``number (origin, horizon)``, as of
-        :func:`swarmssm.analysis.scoring.backtest`; means over seeds.
+        :func:`swarmssm.analysis.scoring.score`; means over seeds.
     errors
         ``squared_error (model, step)`` of scaled states.
     """
@@ -59,11 +59,11 @@ class Results:
         return min(methods, key=lambda name: _or_infinite(self.rows[name].get(fact)))
 
     def fair(self) -> list[str]:
-        """Return the methods that were measured and are not told what others have to find."""
+        """Return the methods that were measured and are no oracles."""
         return [
             name
             for name, row in self.rows.items()
-            if row["seeds"] and name != FLOOR and not row["told"]
+            if row["seeds"] and name != FLOOR and not row["knows_true_form"]
         ]
 
 
@@ -132,7 +132,7 @@ def _scores(task: Task, arrays: Mapping[str, Sequence[Measured]], names: list[st
     }
     nothing = np.zeros((0, len(trials), len(task.steps)))
     empty = {"crps": nothing, "log_score": nothing, "number": np.zeros(nothing.shape[1:])}
-    data = mean_scores(found, axes=(2,)) if found else empty
+    data = mean_scores(found) if found else empty
     over = ("model", "origin", "horizon")
     unit = str(task.tracks.attrs.get("unit", "")) or "1"
     return xr.Dataset(
@@ -200,8 +200,8 @@ def shown_rows(results: Results) -> list[dict[str, str]]:
     said = {name for row in results.rows.values() for name in row}
     shown = []
     for method, row in results.rows.items():
-        told = " (told)" if row.get("told") and method != FLOOR else ""
-        cells = {"method": f"{method}{told}"}
+        oracle = " (oracle)" if row.get("knows_true_form") and method != FLOOR else ""
+        cells = {"method": f"{method}{oracle}"}
         cells |= {title: _cell(row, name) for title, name in columns.items() if name in said}
         cells["note"] = row["failed"]
         if row.get("unscored", 0.0) > 0.0:
@@ -238,12 +238,12 @@ def _cell(row: Mapping[str, Any], name: str) -> str:
 def leader_sentence(results: Results) -> str:
     """Say how the best of this package's models stands beside the best rival, and how surely.
 
-    Methods that are told the true forms are left aside. The best of each side is the one with the
+    Oracles are left aside. The best of each side is the one with the
     lowest CRPS at that horizon; the interval is that of the moving-block bootstrap over origins.
     """
     rows, scores, fair = results.rows, results.scores, results.fair()
-    ours = [name for name in fair if name in OWN]
-    rivals = [name for name in fair if name not in OWN]
+    ours = [name for name in fair if name in MODELS]
+    rivals = [name for name in fair if name not in MODELS]
     if not ours or not rivals:
         return ""
     parts = []

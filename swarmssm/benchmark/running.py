@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from swarmssm.benchmark.measuring import METHODS, measure
-from swarmssm.benchmark.parts import (
+from swarmssm.benchmark.measure_method import METHODS, measure
+from swarmssm.benchmark.measurements import (
     CachedResult,
     open_folder,
     part_path,

@@ -10,7 +10,9 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from swarmssm.analysis.scoring.frames import rolling_origins
+from swarmssm.analysis.posterior.frames import rolling_origins
+from swarmssm.analysis.posterior.subject import ScoredTracks
+from swarmssm.analysis.scoring.rolling_origin import HORIZONS, check_horizons
 from swarmssm.errors import InputError
 from swarmssm.graphs import GraphRule, rule_of
 from swarmssm.inference.fitting import tracks_digest
@@ -19,11 +21,10 @@ from swarmssm.tracks import Array, states_of, validate_tracks, with_trials
 from swarmssm.tracks.scaling import Scaler, fit_scaler
 from swarmssm.tracks.splits import Segment, Split, split, take
 
-__all__ = ["HISTORY", "HORIZONS", "Task", "make_task"]
+__all__ = ["HISTORY", "Task", "make_task"]
 
 Rows = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
-HORIZONS = (1, 5, 10, 20, 50)
 #: Frames before the first forecast that any method may look at.
 HISTORY = 49
 
@@ -81,8 +82,8 @@ class Task:
     @property
     def exact(self) -> bool:
         """Whether the states are those of a simulation, without tracking noise."""
-        told = json.loads(self.tracks.attrs.get("simulation", "{}"))
-        return "velocity" in self.tracks and told.get("observation_noise") == 0.0
+        about = json.loads(self.tracks.attrs.get("simulation", "{}"))
+        return "velocity" in self.tracks and about.get("observation_noise") == 0.0
 
     def rule(self) -> GraphRule | None:
         """Return the rule that methods are given; ``None`` where all see all."""
@@ -116,6 +117,12 @@ class Task:
         scored = np.arange(self.states.shape[1])[None, :] >= self._context[1][:, None]
         mask: Mask = known(self.states) & scored[..., None]
         return mask
+
+    @cached_property
+    def scored(self) -> ScoredTracks:
+        """The context; errors of baselines are measured in the validation part, if there is one."""
+        errors = self.training if self.validation is None else self.validation
+        return ScoredTracks(self.context, self.states, self.mask, errors, self.scaler)
 
     @cached_property
     def training(self) -> Array:
@@ -161,12 +168,6 @@ class Task:
                 "horizons, or give more frames."
             )
         return used
-
-    def ahead(self, trials: Rows, rows: Rows, steps: int) -> Array:
-        """Return what came after each start: ``(start, step, individual, state)``."""
-        padded = np.pad(self.states, ((0, 0), (0, steps), (0, 0), (0, 0)), constant_values=np.nan)
-        following: Array = padded[trials[:, None], rows[:, None] + np.arange(1, steps + 1)]
-        return following
 
     def digest(self) -> str:
         """Return what must be the same for two measurements to stand in one table."""
@@ -228,11 +229,7 @@ def make_task(
             raise InputError(f"{name}: it must be at least 1, and it is {value}.")
     if samples < 10:
         raise InputError(f"samples: it must be at least 10, and it is {samples}.")
-    rising = list(horizons) == sorted(set(horizons)) and len(horizons) > 0
-    if not rising or horizons[0] < 1 or not all(float(k).is_integer() for k in horizons):
-        raise InputError(
-            f"horizons: give rising whole numbers of steps from 1 upwards, not {list(horizons)}."
-        )
+    check_horizons(horizons)
     tracks = with_trials(validate_tracks(tracks))
     parts = split(tracks, split_by, fractions)
     if not parts.test:

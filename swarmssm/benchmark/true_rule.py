@@ -19,7 +19,7 @@ __all__ = ["TrueRule", "has_floor", "true_rule"]
 class TrueRule(Baseline):
     """Step of the law from the true state, without noise; with a generator, with the law's own.
 
-    Who sees somebody whose state is unknown cannot be told how it moves: nobody is forecast then.
+    Who sees somebody whose state is unknown has no known step: nobody is forecast then.
     """
 
     name: ClassVar[str] = "noise-floor"

@@ -5,8 +5,8 @@ from pathlib import Path
 from swarmssm.analysis.plots.benchmark import plot_benchmark
 from swarmssm.analysis.report.embed import as_svg, report_style
 from swarmssm.analysis.report.page import render
-from swarmssm.benchmark.measuring import FLOOR
-from swarmssm.benchmark.own import OWN
+from swarmssm.benchmark.measure_method import FLOOR
+from swarmssm.benchmark.models import MODELS
 from swarmssm.benchmark.results import Results, leader_sentence, shown_rows
 from swarmssm.benchmark.thesis_tables import FOOTNOTE, thesis_table
 from swarmssm.files import check_output, write_beside
@@ -24,7 +24,7 @@ COLUMNS = (
     "a noise of its own has normal errors as large as those it makes in the validation part.",
     "Edge AUC: of the inferred against the true graph, 0.5 is chance; in the csv beside it that of "
     "the distance alone, and of individuals exchanged.",
-    "(told): the method is told the true forms of the forces, which others have to find.",
+    "(oracle): the method knows the true forms of the forces, which others have to find.",
 )
 
 
@@ -103,7 +103,7 @@ def benchmark_page(results: Results) -> str:
 
 def _own(results: Results) -> list[str]:
     """Return this package's models, of which there are errors."""
-    return [name for name in OWN if name in results.errors["model"].values]
+    return [name for name in MODELS if name in results.errors["model"].values]
 
 
 def _sentences(results: Results) -> list[str]:
@@ -134,11 +134,11 @@ def _graph(text: str) -> str:
 
 
 def _floor_sentence(results: Results) -> str:
-    """Say how near the best method that is not told the forms comes to the noise floor."""
+    """Say how near the best method that is no oracle comes to the noise floor."""
     steps = results.task.steps[-1]
     near = []
     for fact, words in (("mse", "at one step"), (f"roll_{steps}", f"at {steps} steps")):
         name = results.best(results.fair(), fact)
         ratio = results.rows[name][fact] / results.rows[FLOOR][fact]
         near.append(f"{words} {name} with {ratio:.3f} times its error")
-    return f"Nearest to the noise floor, of those that are not told the forms: {', '.join(near)}."
+    return f"Nearest to the noise floor, oracles left aside: {', '.join(near)}."

@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
+from swarmssm.cli.comparing import Against, load_other_runs
 from swarmssm.cli.console import print_json, print_rows, say
 from swarmssm.cli.options import (
     File,
@@ -18,7 +19,6 @@ from swarmssm.cli.options import (
     named_values,
 )
 from swarmssm.cli.progress import stages
-from swarmssm.cli.rivals import Against, load_rivals
 from swarmssm.errors import InputError
 from swarmssm.files import check_output, write_beside
 
@@ -78,7 +78,7 @@ def analyze(
     options = _options(settings or [])
     chosen = None if only is None else [name.strip() for name in only.split(",")]
     fitted = inference.Fit.load(run, trust_code=trust_code)
-    others = load_rivals(against, fitted, trust_code)
+    others = load_other_runs(against, fitted, trust_code)
     tracks = io.read(file)
     with stages() as show:
         found = all_analyses(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from swarmssm.cli.comparing import Horizons, parse_horizons
 from swarmssm.cli.console import print_json, print_rows, say
 from swarmssm.cli.options import Format, Overwrite, Seed, TableFormat
 from swarmssm.cli.progress import counting_progress
@@ -66,7 +67,7 @@ def benchmark(
             "Default: the true rule of simulated tracks, else complete."
         ),
     ] = None,
-    horizons: Annotated[str, typer.Option(help="Steps ahead, with commas.")] = "1,5,10,20,50",
+    horizons: Horizons = None,
     origins: Annotated[
         int, typer.Option(help="Frames of each trial to forecast from.", min=1)
     ] = 40,
@@ -103,7 +104,7 @@ def benchmark(
         return
     if out.suffix != ".csv":
         raise InputError(f"--out: {out} must end in .csv.")
-    seconds, ahead = _seconds(budget), _horizons(horizons)
+    seconds, options = _seconds(budget), parse_horizons(horizons)
     wanted = jobs_of(METHODS if methods == "all" else _names(methods), seeds)
     check_outputs(out, overwrite=overwrite or resume)
     tracks, title = _tracks(file, dataset, data)
@@ -112,10 +113,10 @@ def benchmark(
         title=title,
         graph=graph,
         split_by=split_by,
-        horizons=ahead,
         origins=origins,
         free_steps=free_run_steps,
         seed=seed,
+        **options,
     )
     folder = out.with_suffix(".parts")
     if folder.exists() and not resume:
@@ -161,16 +162,6 @@ def _seconds(text: str) -> float | None:
 def _names(text: str) -> list[str]:
     """Read names with commas."""
     return [name.strip() for name in text.split(",") if name.strip()]
-
-
-def _horizons(text: str) -> list[int]:
-    """Read whole numbers with commas."""
-    try:
-        return [int(part) for part in text.split(",")]
-    except ValueError:
-        raise InputError(
-            f"--horizons: {text!r} is no list of whole numbers with commas, such as 1,5,10."
-        ) from None
 
 
 def _tracks(file: Path | None, dataset: str | None, data: Path | None) -> tuple["xr.Dataset", str]:

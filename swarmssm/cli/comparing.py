@@ -17,7 +17,17 @@ from swarmssm.files import check_output
 if TYPE_CHECKING:
     from swarmssm.inference import Fit
 
-__all__ = ["compare"]
+__all__ = ["Against", "Horizons", "compare", "load_other_runs", "parse_horizons"]
+
+Against = Annotated[
+    list[Path] | None,
+    typer.Option(
+        metavar="RUN", help="Another run whose held-out forecasts are scored too; repeatable."
+    ),
+]
+Horizons = Annotated[
+    str | None, typer.Option(help="Steps ahead, with commas. Default: 1,2,5,10,20.")
+]
 
 
 def compare(
@@ -41,10 +51,7 @@ def compare(
             "file, and all of another."
         ),
     ] = None,
-    horizons: Annotated[
-        str | None,
-        typer.Option(help="Steps ahead, with commas. Default: 1,2,5,10,20. Of held-out."),
-    ] = None,
+    horizons: Horizons = None,
     origins: Annotated[
         int, typer.Option(help="Frames of each trial to forecast from. Of held-out.", min=1)
     ] = 40,
@@ -70,16 +77,17 @@ def compare(
 ) -> None:
     """Rank runs by how probable they make what they have not seen, on the same frames."""
     from swarmssm import io
-    from swarmssm.analysis.scoring.compare import compare as ranked
-    from swarmssm.analysis.scoring.compare import comparison_dict, comparison_table, sentence
+    from swarmssm.analysis.scoring import compare as ranked
 
     if out is not None:
         check_output(out, overwrite=overwrite)
     *runs, file = paths
-    options: dict[str, Any] = {} if horizons is None else {"horizons": _horizons(horizons, method)}
+    if horizons is not None and method != "held-out":
+        raise InputError(f"--horizons: method {method} forecasts one step at a time; leave it out.")
+    options = parse_horizons(horizons)
     fits = _load(runs, file, trust_code=trust_code)
     tracks = io.read(file)
-    with _asking() as show:
+    with _status() as show:
         result = ranked(
             fits,
             tracks,
@@ -93,15 +101,15 @@ def compare(
             progress=show,
             **options,
         )
-    found = comparison_dict(result)
+    found = result.to_dict()
     if out is not None:
         write_json(found, out, overwrite=overwrite)
     if format is TableFormat.json:
         print_json(found)
         return
-    print_rows(f"{method} on {file}, part {result.attrs['part']}", comparison_table(result))
-    say(sentence(result))
-    for note in result.attrs["notes"]:
+    say(result.verdict())
+    print_rows(f"{method} on {file}, part {result.data.attrs['part']}", result.rows())
+    for note in result.notes:
         say(note)
     if out is not None:
         say(f"{out}: written.")
@@ -129,24 +137,55 @@ def _load(runs: Sequence[Path], file: Path, *, trust_code: bool) -> dict[str, "F
     names = short if len(set(short)) == len(short) else [str(path) for path in runs]
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
-        raise InputError(f"{twice}: this run stands there twice. Name different runs.")
+        raise InputError(f"{twice}: this run is given twice. Name different runs.")
     return {
         name: Fit.load(path, trust_code=trust_code) for name, path in zip(names, runs, strict=True)
     }
 
 
-def _horizons(text: str, method: str) -> tuple[int, ...]:
-    """Read whole numbers with commas between them."""
-    if method != "held-out":
-        raise InputError(f"--horizons: method {method} foresees one step at a time; leave it away.")
+def parse_horizons(text: str | None) -> dict[str, Any]:
+    """Read whole numbers with commas between them, as an option of the function; empty of none.
+
+    Raises
+    ------
+    InputError
+        If they are none, or below 1.
+    """
+    if text is None:
+        return {}
     try:
-        return tuple(sorted({int(part) for part in text.split(",")}))
+        ahead = tuple(sorted({int(part) for part in text.split(",")}))
     except ValueError:
         raise InputError(f"--horizons: {text!r} is not of the form 1,5,10.") from None
+    if ahead[0] < 1:
+        raise InputError(f"--horizons: every horizon must be at least 1, not {ahead[0]}.")
+    return {"horizons": ahead}
+
+
+def load_other_runs(
+    paths: Sequence[Path] | None, fitted: "Fit", trust_code: bool
+) -> dict[str, "Fit"]:
+    """Read runs, each named by its folder, or by its path if the fit's model has that name.
+
+    Raises
+    ------
+    InputError
+        If one cannot be read, or two have one name.
+    """
+    from swarmssm.inference import Fit
+
+    others: dict[str, Fit] = {}
+    for path in paths or []:
+        name = path.resolve().name
+        name = str(path) if name == fitted.settings.model else name
+        if name in others:
+            raise InputError(f"--against: two runs are called {name}. Rename the folder of one.")
+        others[name] = Fit.load(path, trust_code=trust_code)
+    return others
 
 
 @contextmanager
-def _asking() -> Iterator[Callable[[str], None]]:
+def _status() -> Iterator[Callable[[str], None]]:
     """Show what is being done: a moving line on a terminal, plain lines elsewhere."""
     if sys.stderr.isatty():
         with rich.console.Console(stderr=True).status("comparing") as status:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from swarmssm.analysis import Evaluation
 
 __all__ = [
+    "print_all_scores",
     "print_evaluation",
     "print_json",
     "print_rows",
@@ -79,12 +80,22 @@ def print_rows(title: str, rows: Sequence[Mapping[str, object]]) -> None:
         print_table(title, list(rows[0]), [list(row.values()) for row in rows])
 
 
-def print_evaluation(title: str, result: "Evaluation", thesis: str | None = None) -> None:
-    """Print the scores of a fit beside those of its rivals, and of the thesis if asked."""
+def print_evaluation(title: str, result: "Evaluation") -> None:
+    """Print the verdict of an evaluation, and a row a method."""
+    say(result.verdict())
+    frame = result.summary()
+    rows = frame.reset_index(names="method").to_dict("records")
+    print_rows(title, [{str(k): v for k, v in row.items()} for row in rows])
+    for note in result.notes:
+        say(note)
+
+
+def print_all_scores(result: "Evaluation", thesis: str | None = None) -> None:
+    """Print all scores of an evaluation, and those that the thesis prints if asked."""
     from swarmssm import analysis
     from swarmssm.analysis.scoring.table import format_unit
 
-    print_rows(title, analysis.scores_table(result, thesis))
+    print_rows("one step, free runs and edges", analysis.scores_table(result, thesis))
     if thesis is not None:
         say(analysis.THESIS_FOOTNOTE)
     print_rows("squared error at each step ahead, scaled states", analysis.horizon_table(result))
@@ -102,8 +113,6 @@ def print_evaluation(title: str, result: "Evaluation", thesis: str | None = None
         analysis.horizon_table(result, "coverage"),
     )
     print_rows("edges of the next graph", analysis.edge_table(result))
-    for note in result.notes:
-        say(note)
 
 
 def print_json(value: object) -> None:

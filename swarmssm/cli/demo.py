@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from swarmssm.cli.console import print_evaluation, print_rows, say
+from swarmssm.cli.console import print_all_scores, print_evaluation, print_rows, say
 from swarmssm.cli.options import Overwrite, Seed
 from swarmssm.cli.progress import counting_progress, stages, training_progress
 from swarmssm.errors import InputError
@@ -121,7 +121,7 @@ def _sections(
     from swarmssm.analysis.scoring import score_table
 
     with counting_progress(f"{title}: forecasting", "batches") as show:
-        scores = analysis.backtest(
+        scores = analysis.score(
             fits, tracks, origins=ORIGINS[name], draws=FUTURES, seed=seed, progress=show
         )
     sections = []
@@ -137,7 +137,9 @@ def _sections(
             futures=FUTURES,
             seed=seed,
         )
-        print_evaluation(f"{title}: {model}", result, thesis)
+        print_evaluation(f"{title}: {model}", result)
+        if thesis:
+            print_all_scores(result, thesis)
         with stages() as show:
             sections.append(
                 analysis.full_section(

@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from swarmssm.cli.console import print_evaluation, print_json, say, write_json
+from swarmssm.cli.comparing import Against, Horizons, load_other_runs, parse_horizons
+from swarmssm.cli.console import print_all_scores, print_evaluation, print_json, say, write_json
 from swarmssm.cli.options import File, Format, Overwrite, Run, Seed, TableFormat, TrustCode
 from swarmssm.cli.progress import stages
-from swarmssm.cli.rivals import Against, load_rivals
 from swarmssm.errors import InputError
 from swarmssm.files import check_output
 
@@ -32,7 +32,7 @@ Until = Annotated[
 def evaluate(
     run: Run,
     file: File,
-    horizons: Annotated[str, typer.Option(help="Steps ahead, with commas.")] = "1,5,10,20,50",
+    horizons: Horizons = None,
     part: Annotated[
         str | None,
         typer.Option(
@@ -40,6 +40,13 @@ def evaluate(
             "and all of another."
         ),
     ] = None,
+    all_scores: Annotated[
+        bool,
+        typer.Option(
+            "--all-scores",
+            help="Print every score at every horizon, the graph's, and the thesis's tables.",
+        ),
+    ] = False,
     out: Annotated[Path | None, typer.Option(help="JSON file to write.")] = None,
     format: Format = TableFormat.text,
     seed: Seed = 0,
@@ -47,21 +54,23 @@ def evaluate(
     trust_code: TrustCode = False,
     overwrite: Overwrite = False,
 ) -> None:
-    """Score a run on tracks it has not seen, beside stay-put, constant velocity, noise floor."""
+    """Compare the forecasts of a run with simple baselines, on tracks it has not seen."""
     from swarmssm import analysis, inference, io
 
     if out is not None:
         check_output(out, overwrite=overwrite)
-    ahead = _horizons(horizons)
+    options = parse_horizons(horizons)
     fitted = inference.Fit.load(run, trust_code=trust_code)
     tracks = io.read(file)
-    result = analysis.evaluate(fitted, tracks, horizons=ahead, part=part, seed=seed, edges=edges)
+    result = analysis.evaluate(fitted, tracks, part=part, seed=seed, edges=edges, **options)
     if out is not None:
         write_json(result.to_dict(), out, overwrite=overwrite)
     if format is TableFormat.json:
         print_json(result.to_dict())
         return
     print_evaluation(str(run), result)
+    if all_scores:
+        print_all_scores(result, "auto")
     if out is not None:
         say(f"{out}: written.")
 
@@ -159,7 +168,7 @@ def report(
             tracks,
             out,
             title=f"{fitted.settings.model} on {path.name}",
-            rivals=load_rivals(against, fitted, trust_code) or None,
+            rivals=load_other_runs(against, fitted, trust_code) or None,
             checks=checks,
             forces=forces,
             player=player,
@@ -168,17 +177,6 @@ def report(
             progress=show,
         )
     say(f"{out}: written.")
-
-
-def _horizons(text: str) -> tuple[int, ...]:
-    """Read whole numbers with commas between them."""
-    try:
-        ahead = tuple(sorted({int(part) for part in text.split(",")}))
-    except ValueError:
-        raise InputError(f"--horizons: {text!r} is not of the form 1,5,10.") from None
-    if ahead[0] < 1:
-        raise InputError(f"--horizons: every horizon must be at least 1, not {ahead[0]}.")
-    return ahead
 
 
 def _before(tracks: "xr.Dataset", until: float | None) -> "xr.Dataset":

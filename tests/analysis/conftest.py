@@ -152,6 +152,7 @@ def plant(**scores: Any) -> Evaluation:
         "scaler": {"kind": "minmax", "offset": [0.0] * 4, "scale": [1.0] * 4},
     }
     return Evaluation(
+        planted_forecasts(methods, titles, [1, 5, STEPS], unit),
         table,
         collective,
         edges,
@@ -162,6 +163,34 @@ def plant(**scores: Any) -> Evaluation:
         settings,
         tuple(scores.get("notes", ())),
     )
+
+
+def planted_forecasts(
+    methods: list[str], titles: list[str], horizons: list[int], unit: str
+) -> xr.Dataset:
+    """Scores of 60 origins: each method's CRPS is its place among them, from 1."""
+    over = ("model", "origin", "horizon")
+    shape = (len(methods), 60, len(horizons))
+    values = np.broadcast_to(np.arange(1.0, len(methods) + 1)[:, None, None], shape)
+    data: dict[str, object] = {
+        name: (over, sign * values, {"units": units, "long_name": ""})
+        for name, sign, units in (("log_score", -1, "nat"), ("crps", 1, unit), ("mse", 1, "1"))
+    }
+    covered = np.full((*shape, 1), 0.9)
+    data["coverage"] = ((*over, "level"), covered, {"units": "1", "long_name": ""})
+    data["number"] = (over[1:], np.full(shape[1:], 4))
+    data["trained_on"] = ("model", [0] * len(methods))
+    coords = {
+        "model": methods,
+        "title": ("model", titles),
+        "fitted": ("model", [place == 0 for place in range(len(methods))]),
+        "horizon": horizons,
+        "ahead": ("horizon", np.array(horizons) / 10.0),
+        "level": [0.9],
+        "trial": ("origin", ["0"] * 60),
+        "frame": ("origin", 5 * np.arange(60)),
+    }
+    return xr.Dataset(data, coords, {"unit": unit, "fps": 10.0, "notes": []})
 
 
 def moving_square(unit: str = "cm") -> xr.Dataset:

@@ -16,8 +16,8 @@ from swarmssm.analysis.interpretation.result import ANALYSES, Analysis
 from swarmssm.analysis.interpretation.summary import formatted_summary
 from swarmssm.analysis.interpretation.verdict import forecast_test
 from swarmssm.analysis.report.analysis_page import analysis_page, report_analysis
-from swarmssm.analysis.scoring.backtest import backtest
-from swarmssm.analysis.scoring.tables import score_table
+from swarmssm.analysis.scoring.rolling_origin import score
+from swarmssm.analysis.scoring.summaries import score_table
 from swarmssm.errors import InputError
 
 QUICK = {"latents": {"shifts": 19, "untrained_seeds": 1}}
@@ -236,7 +236,7 @@ def test_other_fits_are_scored_too(quick_fit, boids, tmp_path):
         against={"other": other},
         options={"scores": {"horizons": (1, 3), "origins": 5, "draws": 10}},
     )
-    alone = backtest(
+    alone = score(
         {"graph-vae": quick_fit, "other": other}, boids, horizons=(1, 3), origins=5, draws=10
     )
     xr.testing.assert_equal(found.scores, alone)

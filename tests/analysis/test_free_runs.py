@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from swarmssm.analysis.posterior.subject import subject_of
 from swarmssm.analysis.scoring.forecasters import BaselineForecaster
 from swarmssm.analysis.scoring.free_runs import collective_scores, free_run_starts
 from swarmssm.analysis.scoring.references import ConstantVelocity, StayPut
-from swarmssm.analysis.scoring.subject import subject_of
 from swarmssm.tracks import make_tracks
 
 FPS = 10.0
@@ -37,7 +37,7 @@ def scored(quick_fit, position, velocity, steps):
         adjacency=np.zeros((*position.shape[:-1], count), dtype=int),
     )
     subject = subject_of(quick_fit, tracks)
-    forecasters = [BaselineForecaster(subject, kind()) for kind in (StayPut, ConstantVelocity)]
+    forecasters = [BaselineForecaster(kind(), subject) for kind in (StayPut, ConstantVelocity)]
     return collective_scores(subject, forecasters, steps=steps, starts=1, draws=1, seed=0)
 
 

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from swarmssm import inference, simulate
+from swarmssm.analysis.posterior.subject import subject_of
 from swarmssm.analysis.scoring.forecasters import (
-    BaselineForecaster,
+    FitForecaster,
     LawForecaster,
-    ModelForecaster,
+    baseline_forecaster,
     law_forecaster,
 )
 from swarmssm.analysis.scoring.references import REFERENCES
-from swarmssm.analysis.scoring.subject import subject_of
 
 ORIGIN, STEPS = 25, 6
 
@@ -36,8 +36,8 @@ def scored_tracks(shift=0.0):
 
 def forecasters(fit, tracks):
     subject = subject_of(fit, tracks)
-    found = [ModelForecaster(subject, "decoder"), ModelForecaster(subject, "rule")]
-    found += [BaselineForecaster(subject, kind()) for kind in REFERENCES.values()]
+    found = [FitForecaster(subject, "decoder"), FitForecaster(subject, "rule")]
+    found += [baseline_forecaster(kind(), subject, None) for kind in REFERENCES.values()]
     law, _ = law_forecaster(subject)
     return [*found, law] if law else found
 
@@ -48,8 +48,8 @@ def test_nothing_after_the_origin_is_known_at_it(fit):
     after = forecasters(fit, scored_tracks(shift=3.0))
     assert len(before) == len(after)
     for one, other in zip(before, after, strict=True):
-        for name in ("forecasts", "free_runs"):
-            options = (2, 0) if name == "free_runs" else ()
+        for name in ("expected", "simulate"):
+            options = (2, 0) if name == "simulate" else ()
             first = getattr(one, name)(trials, rows, STEPS, *options)
             second = getattr(other, name)(trials, rows, STEPS, *options)
             assert np.isfinite(first).all()
@@ -68,7 +68,7 @@ def test_what_is_known_at_the_origin_does_change_it(fit):
     before = forecasters(fit, scored_tracks())
     after = forecasters(fit, scored_tracks(shift=3.0))
     for one, other in zip(before, after, strict=True):
-        first, second = (f.forecasts(trials, rows, STEPS) for f in (one, other))
+        first, second = (f.expected(trials, rows, STEPS) for f in (one, other))
         assert not np.allclose(first, second), one.name
 
 

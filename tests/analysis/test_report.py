@@ -337,7 +337,7 @@ def whole(boids, tmp_path_factory):
             "FORCE_DRAWS": 2,
             "PLAYED": 10,
             "one_step_pit": partial(build.one_step_pit, draws=10, origins=8),
-            "backtest": partial(build.backtest, draws=10, origins=5, horizons=(1, 5)),
+            "score": partial(build.score, draws=10, origins=5, horizons=(1, 5)),
         }
         for name, value in quick.items():
             patch.setattr(build, name, value)

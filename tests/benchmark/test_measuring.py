@@ -6,16 +6,18 @@ import numpy as np
 import pytest
 
 from swarmssm.analysis.scoring.baseline import Baseline
+from swarmssm.analysis.scoring.forecasters import BaselineForecaster
 from swarmssm.analysis.scoring.references import ConstantVelocity
 from swarmssm.benchmark import make_task, measure
-from swarmssm.benchmark.rivals import RivalForecaster
 from swarmssm.errors import InputError
 
 from .conftest import FPS, straight
 
 
 def test_constant_velocity_is_right_where_nobody_turns():
-    found = measure(make_task(straight(200, trials=4), split_by="trial"), "constant-velocity", 1, 0)
+    far = {"horizons": (1, 50)}
+    task = make_task(straight(200, trials=4), split_by="trial", **far)
+    found = measure(task, "constant-velocity", 1, 0)
     assert found.facts["mse"] == pytest.approx(0.0, abs=1e-20)
     assert found.facts["roll_50"] == pytest.approx(0.0, abs=1e-20)
     assert found.facts["amd_error"] == pytest.approx(0.0, abs=1e-12)
@@ -24,7 +26,7 @@ def test_constant_velocity_is_right_where_nobody_turns():
 
 
 def test_staying_put_errs_by_the_steps_themselves():
-    task = make_task(straight(200))
+    task = make_task(straight(200), horizons=(1, 5))
     found = measure(task, "stay-put", None, 0)
     # (4.3) is the mean step over the mean step, the same in each frame of a straight line.
     assert found.facts["mae"] == pytest.approx(1.0)
@@ -36,10 +38,12 @@ def test_staying_put_errs_by_the_steps_themselves():
 
 
 def test_the_true_rule_of_a_swarm_without_noise_makes_no_error(noiseless):
-    found = measure(make_task(noiseless, samples=10, free_steps=10), "noise-floor", None, 0)
+    found = measure(
+        make_task(noiseless, horizons=(1, 50), samples=10, free_steps=10), "noise-floor", None, 0
+    )
     assert found.facts["mse"] == pytest.approx(0.0, abs=1e-18)
     assert found.facts["roll_50"] == pytest.approx(0.0, abs=1e-12)
-    assert found.facts["told"]
+    assert found.facts["knows_true_form"]
 
 
 def test_the_true_rule_with_noise_is_as_sure_as_it_ought_to_be(flock):
@@ -61,7 +65,7 @@ def test_a_model_of_the_package_is_measured_on_the_same_frames(flock):
     floor = measure(task, "noise-floor", None, 0)
     assert ours.crps.shape == floor.crps.shape
     np.testing.assert_array_equal(np.isnan(ours.crps), np.isnan(floor.crps))
-    assert ours.facts["told"]
+    assert ours.facts["knows_true_form"]
     # It knows the forms: five gains from 4 x 149 x 5 steps leave it near the floor.
     assert ours.facts["mse"] < 1.1 * floor.facts["mse"]
     assert ours.facts["parameters"] > 5
@@ -82,9 +86,9 @@ class Half(Baseline):
 def test_who_is_lost_is_infinitely_wrong():
     task = make_task(straight(200, 4))
     trials, rows = task.forecast_origins
-    paths = RivalForecaster(task, Half()).forecasts(trials, rows, 2)
+    paths = BaselineForecaster(Half(), task.scored).expected(trials, rows, 2)
     assert np.isinf(paths[..., 1::2, :]).all()
-    np.testing.assert_allclose(paths[:, :1, ::2], task.ahead(trials, rows, 1)[:, :, ::2])
+    np.testing.assert_allclose(paths[:, :1, ::2], task.scored.ahead(trials, rows, 1)[:, :, ::2])
 
 
 def test_histories_before_the_first_frame_are_unknown():
@@ -99,7 +103,7 @@ def test_histories_before_the_first_frame_are_unknown():
     seen, unknown = [], []
     task = make_task(straight(40, trials=4), split_by="trial", horizons=(1,))
     trials, rows = task.forecast_origins
-    RivalForecaster(task, Long()).forecasts(trials[:1], rows[:1], 1)
+    BaselineForecaster(Long(), task.scored).expected(trials[:1], rows[:1], 1)
     assert rows[0] == 9
     assert seen == [30]
     assert unknown == [True]

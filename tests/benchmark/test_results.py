@@ -15,7 +15,7 @@ from swarmssm.benchmark import (
     shown_rows,
     write_results,
 )
-from swarmssm.benchmark.parts import CachedResult
+from swarmssm.benchmark.measurements import CachedResult
 from swarmssm.benchmark.thesis_tables import thesis_table
 
 from .conftest import straight
@@ -26,10 +26,10 @@ def task():
     return make_task(straight(400), title="lines", origins=60, horizons=(1, 10))
 
 
-def measured(task, error, *, told=False, crps=1.0, **more):
+def measured(task, error, *, oracle=False, crps=1.0, **more):
     trials, _ = task.forecast_origins
     shape = (len(trials), len(task.steps), 3)
-    facts = {"title": "x", "told": told, "parameters": 3, "mse": error, "mae": error}
+    facts = {"title": "x", "knows_true_form": oracle, "parameters": 3, "mse": error, "mae": error}
     for k in task.steps:
         facts |= {f"roll_{k}": k * error, f"crps_{k}": crps, f"log_score_{k}": -crps}
         facts |= {f"coverage_{k}": 0.9}
@@ -47,9 +47,9 @@ def results(task):
         Job("graph-vae", 0): CachedResult(measured(task, 7.0, crps=8.0, amd=2.0, avd=0.5), ""),
         Job("stay-put", 0): CachedResult(measured(task, 5.0, crps=9.0), ""),
         Job("kernel", 0): CachedResult(measured(task, 1.5, crps=3.0), ""),
-        Job("boids", 0): CachedResult(measured(task, 0.5, crps=0.5, told=True), ""),
+        Job("boids", 0): CachedResult(measured(task, 0.5, crps=0.5, oracle=True), ""),
         Job("sindy-pi", 0): CachedResult(None, "It | failed."),
-        Job("noise-floor", 0): CachedResult(measured(task, 1.0, told=True), ""),
+        Job("noise-floor", 0): CachedResult(measured(task, 1.0, oracle=True), ""),
     }
     return collect(task, parts)
 
@@ -72,7 +72,7 @@ def test_the_floor_is_on_top_and_who_failed_at_the_bottom(results):
 
 def test_people_read_the_same(results):
     rows = {row["method"]: row for row in shown_rows(results)}
-    assert rows["boids (told)"]["MSE (4.2)"] == "0.500"
+    assert rows["boids (oracle)"]["MSE (4.2)"] == "0.500"
     assert rows["lstm"]["MSE (4.2)"] == "2.00 ± 1.4"
     assert rows["lstm"]["training, CPU s"] == "2.00 ± 0"
     assert rows["sindy-pi"]["note"] == "It | failed."
@@ -80,7 +80,7 @@ def test_people_read_the_same(results):
     assert len({tuple(row) for row in shown_rows(results)}) == 1
 
 
-def test_who_leads_is_told_without_those_who_are_told(results):
+def test_oracles_do_not_lead(results):
     text = markdown(results)
     assert "at 10 steps kernel leads lstm (+40 %, from +40 to +40 %)" in text
     assert "at one step kernel with 1.500 times its error" in text
@@ -110,7 +110,7 @@ def test_files_stand_beside_each_other(results, tmp_path):
     assert all(path.stat().st_size > 500 for path in paths)
     page = benchmark_page(results)
     assert "http" not in page.replace("http://www.w3.org", "")
-    assert "boids (told)" in page
+    assert "boids (oracle)" in page
 
 
 def test_a_table_of_failures_can_be_written(task, tmp_path):

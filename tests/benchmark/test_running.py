@@ -3,7 +3,7 @@
 import pytest
 
 from swarmssm.benchmark import Job, jobs_of, make_task, run_jobs
-from swarmssm.benchmark.parts import part_path, read_part
+from swarmssm.benchmark.measurements import part_path, read_part
 from swarmssm.errors import InputError
 from swarmssm.jobs import Progress
 

@@ -25,7 +25,7 @@ def test_a_recording_is_cut_in_time_and_its_history_reaches_back():
     # From the last frame that is not scored to the last but one.
     np.testing.assert_array_equal(rows, np.arange(48, 78))
     assert not trials.any()
-    assert task.steps == (1, 5, 10, 20)
+    assert task.steps == (1, 2, 5, 10, 20)
 
 
 def test_a_trial_that_is_all_test_begins_to_be_scored_after_a_history():
@@ -42,7 +42,7 @@ def test_what_comes_after_an_origin_is_the_truth():
     tracks = straight(200)
     task = make_task(tracks)
     trials, rows = task.forecast_origins
-    ahead = task.ahead(trials, rows, 3)
+    ahead = task.scored.ahead(trials, rows, 3)
     whole = states_of(take(tracks, task.split.test))[0]
     np.testing.assert_allclose(ahead[0, 0], whole[rows[0] + 1 - 49])
     assert np.isnan(ahead[-1, 2]).all()

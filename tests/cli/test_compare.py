@@ -54,7 +54,7 @@ def test_leave_future_out(swarmssm, run_folder, rival_folder, flock_file):
         (("RUN", "RIVAL"), "name at least two"),
         (("RUN", "RIVAL", "RUN"), "this is a run folder. The last argument must be the tracks"),
         (("RUN", "FILE", "FILE"), "this is a file. Run folders come first"),
-        (("RUN", "RUN", "FILE"), "this run stands there twice"),
+        (("RUN", "RUN", "FILE"), "this run is given twice"),
         (("RUN", "nowhere", "FILE"), "there is no such run folder"),
         (("RUN", "RIVAL", "FILE", "--method", "waic"), "'waic' is unknown"),
         (("RUN", "RIVAL", "FILE", "--method", "loo"), "without a posterior"),

@@ -9,7 +9,7 @@ from swarmssm.simulate import simulate_boids
 
 
 @pytest.mark.parametrize(
-    ("noise", "model", "options", "told"),
+    ("noise", "model", "options", "knows_true_form"),
     [
         (0.0, "boids", {}, True),
         (0.0, "kernel", {"limits": False}, True),

@@ -25,8 +25,8 @@ from swarmssm.analysis.interpretation.kernels.truth import kernel_agreement, tru
 from swarmssm.analysis.interpretation.latents.alignment import latent_force_alignment
 from swarmssm.analysis.interpretation.result import ANALYSES, Analysis
 from swarmssm.analysis.posterior.accelerations import PosteriorPaths, posterior_paths
-from swarmssm.analysis.scoring.backtest import backtest
-from swarmssm.analysis.scoring.subject import default_part, same_tracks
+from swarmssm.analysis.posterior.frames import default_part, same_tracks
+from swarmssm.analysis.scoring.rolling_origin import score
 from swarmssm.errors import InputError, SwarmssmError
 from swarmssm.inference import Fit
 from swarmssm.tracks import validate_tracks, with_trials
@@ -58,7 +58,7 @@ FUNCTIONS: dict[str, Callable[..., xr.Dataset]] = {
     "latents": latent_force_alignment,
     "influence": influence,
     "delays": leadership_delays,
-    "scores": backtest,
+    "scores": score,
 }
 #: Decided here for all of them; the draws of forecasts are others than those of paths.
 SHARED = {"fit", "fits", "tracks", "draws", "seed", "paths", "progress"}
@@ -104,7 +104,7 @@ def analyze(
         Other fits, by name, whose forecasts are scored too.
     scores
         Whether forecasts of held-out frames are scored against simple baselines, see
-        :func:`swarmssm.analysis.scoring.backtest`. Without, the forces are not tested.
+        :func:`swarmssm.analysis.scoring.score`. Without, the forces are not tested.
     options
         Further arguments of each, such as ``{"force_maps": {"bins": 21}}``; those of the forecasts
         are ``"scores"``.
@@ -148,7 +148,7 @@ def analyze(
         more: list[str] = []
         try:
             if name == "scores":
-                found[name] = backtest(fits, whole, seed=seed, **own)
+                found[name] = score(fits, whole, seed=seed, **own)
             else:
                 found[name], more = _ask(name, fit, tracks, paths, draws, seed, own)
         except SwarmssmError as error:

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from swarmssm.analysis.scoring.tables import score_table
+from swarmssm.analysis.scoring.summaries import score_table
 from swarmssm.files import write_beside
 
 __all__ = ["drawn_pairs", "tables_of", "write_tables"]

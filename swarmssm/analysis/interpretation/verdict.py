@@ -17,8 +17,8 @@ from swarmssm.analysis.posterior.intervals import quantiles
 from swarmssm.analysis.posterior.joining import joined
 from swarmssm.analysis.scoring.differences import paired_difference
 from swarmssm.analysis.scoring.references import REFERENCES
+from swarmssm.analysis.scoring.summaries import score_table
 from swarmssm.analysis.scoring.table import format_number
-from swarmssm.analysis.scoring.tables import score_table
 
 __all__ = ["ForecastTest", "forecast_test", "verdict_of"]
 

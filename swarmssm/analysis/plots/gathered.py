@@ -12,7 +12,7 @@ from matplotlib.ticker import FixedFormatter, FixedLocator, NullLocator
 
 from swarmssm.analysis.plots.forces import plot_force_shares
 from swarmssm.analysis.plots.style import COLOURS, LINE_STYLES, legend_below, new_axes, new_grid
-from swarmssm.analysis.scoring.tables import score_table
+from swarmssm.analysis.scoring.summaries import score_table
 
 __all__ = ["BASELINES", "plot_gathered_shares", "plot_log_scores"]
 
@@ -69,7 +69,7 @@ def plot_log_scores(
     Parameters
     ----------
     scores
-        From ``backtest``; a coordinate ``title (model)`` has the names
+        From ``score``; a coordinate ``title (model)`` has the names
         to be shown, if it is there.
     ax
         Where to draw; new axes if absent.

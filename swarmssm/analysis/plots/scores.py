@@ -43,7 +43,7 @@ def plot_scores(
     Parameters
     ----------
     scores
-        From :func:`swarmssm.analysis.scoring.backtest`.
+        From :func:`swarmssm.analysis.scoring.score`.
     score
         ``"log_score"``, ``"crps"``, ``"energy_score"``, ``"mse"``, ``"coverage"`` or ``"width"``.
     ax
@@ -104,7 +104,7 @@ def plot_forecast_coverage(
     Parameters
     ----------
     scores
-        From :func:`swarmssm.analysis.scoring.backtest`.
+        From :func:`swarmssm.analysis.scoring.score`.
     level
         Of the interval.
     ax

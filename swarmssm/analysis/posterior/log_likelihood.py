@@ -9,7 +9,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from swarmssm.analysis.posterior.foresight import predict_one_step
-from swarmssm.analysis.scoring.subject import same_tracks
+from swarmssm.analysis.posterior.frames import same_tracks
 from swarmssm.errors import InputError
 from swarmssm.inference import Fit
 from swarmssm.tracks import Array

@@ -15,9 +15,8 @@ from swarmssm.analysis.report.blocks import Fragment
 from swarmssm.analysis.report.page import render, write_page
 from swarmssm.analysis.report.player import player_assets, player_fragment
 from swarmssm.analysis.report.sections import Section, section_of
-from swarmssm.analysis.scoring.backtest import backtest
-from swarmssm.analysis.scoring.evaluate import evaluate
-from swarmssm.analysis.scoring.evaluation import Evaluation
+from swarmssm.analysis.scoring.evaluation import Evaluation, evaluate
+from swarmssm.analysis.scoring.rolling_origin import score
 from swarmssm.errors import InputError, SwarmssmError
 from swarmssm.files import check_output
 from swarmssm.inference import Fit
@@ -121,7 +120,7 @@ def full_section(
     rivals
         Other fits, by name, to be scored on the same held-out frames; absent, none.
     scores
-        Of :func:`swarmssm.analysis.backtest` with them, if they are there already.
+        Of :func:`swarmssm.analysis.score` with them, if they are there already.
     checks
         How many swarms are simulated from the fit to check it by; 0 for no checks, else at least
         10. No p-value is below one in so many.
@@ -180,7 +179,7 @@ def full_section(
         ask(
             "scores",
             "comparing with rivals",
-            lambda: backtest({fit.settings.model: fit, **rivals}, tracks, part=part, seed=seed),
+            lambda: score({fit.settings.model: fit, **rivals}, tracks, part=part, seed=seed),
         )
     if player:
         ask("player", "a free run to play", lambda: _player(fit, tracks, seed))

@@ -19,10 +19,10 @@ from swarmssm.analysis.report.blocks import Block, Chapter, Notes, Picture, Rows
 from swarmssm.analysis.report.embed import as_svg
 from swarmssm.analysis.report.held_out import shown_models
 from swarmssm.analysis.report.panels import as_panels
-from swarmssm.analysis.scoring.sentence import sentence as scores_sentence
+from swarmssm.analysis.scoring.summaries import score_table
 from swarmssm.analysis.scoring.table import NOTHING, format_unit
 from swarmssm.analysis.scoring.table import format_number as number
-from swarmssm.analysis.scoring.tables import score_table
+from swarmssm.analysis.scoring.verdicts import verdict as scores_verdict
 
 __all__ = ["check_chapter", "comparison_chapter"]
 
@@ -159,11 +159,11 @@ def comparison_chapter(anchor: str, scores: xr.Dataset | None) -> Chapter:
     anchor
         Of the section, which names of figures start with.
     scores
-        From :func:`swarmssm.analysis.scoring.backtest`.
+        From :func:`swarmssm.analysis.scoring.score`.
     """
     if scores is None:
         return Chapter("comparison", "Comparison")
-    text = scores_sentence(scores)
+    text = scores_verdict(scores)
     drawn = [plot_scores(scores, score)[0] for score in ("log_score", "crps")]
     title = "Scores against the number of steps ahead"
     blocks: list[Block] = [

@@ -7,8 +7,8 @@ from swarmssm.analysis.plots.gathered import BASELINES
 from swarmssm.analysis.posterior.joining import joined
 from swarmssm.analysis.report.wording import capital
 from swarmssm.analysis.scoring.differences import paired_difference
+from swarmssm.analysis.scoring.summaries import score_table
 from swarmssm.analysis.scoring.table import format_number
-from swarmssm.analysis.scoring.tables import score_table
 
 __all__ = ["CAUTION", "own_model", "score_rows", "score_sentence", "shown_models"]
 
@@ -57,7 +57,7 @@ def score_sentence(scores: xr.Dataset, model: str) -> str:
     Parameters
     ----------
     scores
-        From :func:`swarmssm.analysis.scoring.backtest`.
+        From :func:`swarmssm.analysis.scoring.score`.
     model
         Name of the model that is compared with the others.
     """

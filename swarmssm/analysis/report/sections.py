@@ -28,8 +28,8 @@ from swarmssm.analysis.report.facts import (
 )
 from swarmssm.analysis.report.panels import as_panels
 from swarmssm.analysis.scoring.evaluation import Evaluation
-from swarmssm.analysis.scoring.table import edge_table, horizon_table, scores_table
 from swarmssm.analysis.scoring.thesis import FOOTNOTE
+from swarmssm.analysis.scoring.thesis_scores import edge_table, horizon_table, scores_table
 from swarmssm.inference import Fit
 
 __all__ = ["Picture", "Section", "section_of"]
@@ -92,14 +92,14 @@ def section_of(
         Its place in the page, unlike that of any other section: letters, digits and hyphens.
     thesis
         Which of the thesis's tables to print beside, see
-        :func:`swarmssm.analysis.scoring.table.scores_table`.
+        :func:`swarmssm.analysis.scoring.thesis_scores.scores_table`.
     checked, pit
         From :func:`swarmssm.analysis.diagnostics.checks.check` and
         ``one_step_pit``; absent, there is no chapter on checks.
     analysis
         From ``analyze``; absent, there is none on forces and kernels.
     scores
-        From :func:`swarmssm.analysis.scoring.backtest` of this fit and its rivals; absent, there is
+        From :func:`swarmssm.analysis.scoring.score` of this fit and its rivals; absent, there is
         no comparison.
     player
         Tracks that move, at the head of the forecasts, see

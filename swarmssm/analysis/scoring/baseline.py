@@ -13,7 +13,11 @@ from swarmssm.graphs import GraphRule
 from swarmssm.metrics.masked import known
 from swarmssm.tracks import Array, states_of, with_trials
 
-__all__ = ["Baseline", "Training"]
+__all__ = ["Baseline", "Training", "histories"]
+
+#: Origins from which the errors of a baseline are measured, and individuals at all of them.
+ERROR_ORIGINS = 2000
+ERROR_FORECASTS = 20_000
 
 
 @dataclass(frozen=True)
@@ -298,6 +302,42 @@ class Baseline:
         path = self.predict(start, horizon, fps, generator)
         return _labelled(path, source, last, bool(draws))
 
+    def error_covariances(self, states: Array, horizon: int, fps: float) -> Array:
+        """Return the covariance of position errors at each step: the spread of its forecasts.
+
+        Parameters
+        ----------
+        states
+            ``(trial, time, individual, state)``, NaN where unknown.
+        horizon
+            Number of steps.
+        fps
+            Frames per second.
+
+        Returns
+        -------
+        ``(step, space, space)``, NaN where fewer than ten errors are known: mean squares about
+        zero, since a baseline takes its forecasts to be unbiased.
+        """
+        num_trials, num_times = states.shape[:2]
+        space = states.shape[-1] // 2
+        last = max(1, num_times - 1)
+        origins = min(ERROR_ORIGINS, ERROR_FORECASTS // states.shape[-2])
+        count = max(2, origins // num_trials)
+        rows = np.unique(np.linspace(0, last - 1, min(last, count)).astype(int))
+        trials, rows = np.repeat(np.arange(num_trials), len(rows)), np.tile(rows, num_trials)
+        predicted = self.predict(histories(states, trials, rows, self.order), horizon, fps)
+        padded = np.pad(states, ((0, 0), (0, horizon), (0, 0), (0, 0)), constant_values=np.nan)
+        ahead = padded[trials[:, None], rows[:, None] + np.arange(1, horizon + 1)]
+        errors = (ahead - predicted)[..., :space]
+        errors = np.moveaxis(errors, 1, 0).reshape(horizon, -1, space)
+        covariance = np.full((horizon, space, space), np.nan)
+        for step, error in enumerate(errors):
+            seen = error[np.isfinite(error).all(-1)]
+            if len(seen) >= 10:
+                covariance[step] = seen.T @ seen / len(seen)
+        return covariance
+
     def _noise_root(self) -> Array:
         """Return a root of the residual covariance, which may be singular."""
         if self.residual_covariance is None:
@@ -305,6 +345,19 @@ class Baseline:
         values, vectors = np.linalg.eigh(self.residual_covariance)
         root: Array = vectors * np.sqrt(values.clip(min=0.0))
         return root
+
+
+def histories(
+    states: Array, trials: npt.NDArray[np.int64], rows: npt.NDArray[np.int64], order: int
+) -> Array:
+    """Return the last frames up to each origin, ``(origin, order, individual, state)``.
+
+    NaN before the first frame of a trial.
+    """
+    first = rows[:, None] + np.arange(1 - order, 1)
+    history: Array = states[trials[:, None], np.maximum(first, 0)]
+    history[first < 0] = np.nan
+    return history
 
 
 def _padded(states: Array, frames: int) -> Array:

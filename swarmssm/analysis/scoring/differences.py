@@ -9,7 +9,8 @@ import scipy.stats
 import xarray as xr
 
 from swarmssm.analysis.posterior.intervals import QUANTILES
-from swarmssm.analysis.scoring.tables import LOWER_IS_BETTER, at_level, check_model
+from swarmssm.analysis.scoring.scores import SCORES
+from swarmssm.analysis.scoring.summaries import at_level, check_model
 from swarmssm.errors import InputError
 from swarmssm.tracks import Array
 
@@ -32,15 +33,15 @@ def paired_difference(
 ) -> xr.Dataset:
     """Return how much better a model is than another, with a moving-block bootstrap interval.
 
-    Origin by origin, so that what makes some frames hard for both falls out. Forecasts from
+    Origin by origin, so that what makes some frames hard for both cancels. Forecasts from
     neighbouring origins err together; blocks of them are therefore drawn, each within a trial.
 
     Parameters
     ----------
     scores
-        From :func:`swarmssm.analysis.scoring.backtest`.
+        From :func:`swarmssm.analysis.scoring.score`.
     score
-        ``"log_score"``, ``"crps"``, ``"energy_score"`` or ``"mse"``.
+        One of :data:`swarmssm.analysis.scoring.SCORES` in which higher or lower is better.
     model, reference
         Names.
     resamples
@@ -70,10 +71,10 @@ def paired_difference(
     H. R. Künsch (1989), The jackknife and the bootstrap for general stationary observations, Ann.
     Statist. 17.
     """
-    if score not in ("log_score", *LOWER_IS_BETTER):
+    comparable = [name for name, one in SCORES.items() if one.sign]
+    if score not in comparable:
         raise InputError(
-            f"score: {score!r} cannot be compared; choose one of "
-            f"{', '.join(('log_score', *LOWER_IS_BETTER))}."
+            f"score: {score!r} cannot be compared; choose one of {', '.join(comparable)}."
         )
     check_model(scores, model, "model")
     check_model(scores, reference, "reference")
@@ -82,7 +83,7 @@ def paired_difference(
     if block is not None and block < 1:
         raise InputError(f"block: it must be at least 1 origin, and it is {block}.")
     values = at_level(scores, score, 0.0)
-    sign = -1.0 if score in LOWER_IS_BETTER else 1.0
+    sign = SCORES[score].sign
     with np.errstate(invalid="ignore"):
         apart = sign * (values.sel(model=model) - values.sel(model=reference)).to_numpy()
     found = _over_horizons(scores, apart, resamples, block, seed)

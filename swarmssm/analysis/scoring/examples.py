@@ -4,8 +4,8 @@ import numpy as np
 import torch
 import xarray as xr
 
+from swarmssm.analysis.posterior.subject import Subject
 from swarmssm.analysis.scoring.forecasters import Forecaster, diverged
-from swarmssm.analysis.scoring.subject import Subject
 from swarmssm.inference.prediction import seeded
 from swarmssm.tracks import Array
 
@@ -30,7 +30,7 @@ def imitation(subject: Subject, forecaster: Forecaster, one_step: Array, seed: i
     free = np.full_like(true, np.nan)
     free[0] = true[0]
     if steps:
-        runs = forecaster.free_runs(np.array([trial]), np.array([first]), steps, draws=1, seed=seed)
+        runs = forecaster.simulate(np.array([trial]), np.array([first]), steps, draws=1, seed=seed)
         if runs is not None:
             free[1:] = runs[0, 0]
     single = one_step[trial, first : first + steps + 1]

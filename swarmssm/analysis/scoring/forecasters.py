@@ -1,7 +1,9 @@
-"""One face for all that are compared: the fitted model, the baselines, the true rule."""
+"""One protocol for all that are scored: fitted models, baselines, the true dynamics."""
 
 import contextlib
 import json
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -9,9 +11,15 @@ import numpy.typing as npt
 import torch
 
 from swarmssm import simulate
-from swarmssm.analysis.scoring.baseline import Baseline
-from swarmssm.analysis.scoring.baseline_errors import baseline_covariances
-from swarmssm.analysis.scoring.subject import Subject
+from swarmssm.analysis.posterior.subject import ScoredTracks, Subject
+from swarmssm.analysis.scoring.baseline import Baseline, histories
+from swarmssm.analysis.scoring.densities import (
+    Density,
+    DrawnDensity,
+    NormalDensity,
+    drawn_from_mixture,
+)
+from swarmssm.analysis.scoring.references import StayPut
 from swarmssm.errors import InputError, WorkError
 from swarmssm.graphs import GraphRule
 from swarmssm.inference.prediction import seeded
@@ -19,21 +27,40 @@ from swarmssm.metrics.masked import known
 from swarmssm.simulate import Law
 from swarmssm.tracks import Array
 
-__all__ = ["BaselineForecaster", "Forecaster", "LawForecaster", "ModelForecaster", "law_forecaster"]
+__all__ = [
+    "BaselineForecaster",
+    "FitForecaster",
+    "Forecaster",
+    "LawForecaster",
+    "baseline_forecaster",
+    "diverged",
+    "law_forecaster",
+]
 
 Rows = npt.NDArray[np.int64]
-#: Numbers of the largest tensor of one batch of forecasts.
+Mask = npt.NDArray[np.bool_]
+#: Numbers of the largest tensor of one batch of a model's forecasts, and of a baseline's histories.
 CHUNK = 20_000_000
+HISTORIES = 10_000_000
 
 
 class Forecaster(Protocol):
-    """States are in the tracks' own units; an individual absent at the start stays NaN."""
+    """What forecasts scored tracks.
+
+    States are in the tracks' own units; an individual absent at the start stays NaN, one whose
+    forecast diverged is infinite. What cannot go on from all of the given frames returns ``None``.
+
+    Attributes
+    ----------
+    name, title
+        For tables.
+    """
 
     name: str
     title: str
 
     def one_step(self) -> tuple[Array, Array | None]:
-        """Predict each frame of the subject from those before it.
+        """Predict each frame from those before it.
 
         Returns
         -------
@@ -41,35 +68,29 @@ class Forecaster(Protocol):
         neighbor)`` from 0 to 1, or ``None`` if it says nothing of edges.
         """
 
-    def forecasts(self, trials: Rows, rows: Rows, steps: int) -> Array | None:
-        """Return expected futures ``(origin, step, individual, state)`` of the given frames.
+    def expected(self, trials: Rows, rows: Rows, steps: int) -> Array | None:
+        """Return expected futures ``(origin, step, individual, state)`` of the given frames."""
 
-        ``None`` if it cannot go on from all of them.
+    def simulate(self, trials: Rows, rows: Rows, steps: int, draws: int, seed: int) -> Array | None:
+        """Return drawn futures, ``(draw, origin, step, individual, state)``.
+
+        Of a forecaster without noise of its own, its expected future as the only draw.
         """
 
-    def free_runs(
-        self, trials: Rows, rows: Rows, steps: int, draws: int, seed: int
-    ) -> Array | None:
-        """Return futures as they may come, ``(draw, origin, step, individual, state)``."""
+    def density(
+        self, trials: Rows, rows: Rows, steps: Sequence[int], draws: int, seed: int, batch: int = 0
+    ) -> Density | None:
+        """Return densities of positions, tracking noise included, some steps ahead.
 
-    def positions(
-        self, trials: Rows, rows: Rows, steps: int, draws: int, seed: int
-    ) -> Array | None:
-        """Return positions as they may be seen, tracking noise included, in the same order."""
-
-    def spread(self, states: Array, steps: int) -> Array | None:
-        """Return the covariances ``(step, space, space)`` of normals about what it expects.
-
-        Of a forecaster without noise of its own, from its errors on ``(trial, time, individual,
-        state)``; ``None`` from one that draws.
+        ``batch`` is the number of the batch of origins, which draw noise of their own.
         """
 
 
-class ModelForecaster:
-    """The fitted model: at its posterior mean, or drawn."""
+class FitForecaster:
+    """A fitted model: at its posterior mean, or drawn."""
 
-    def __init__(self, subject: Subject, edges: str) -> None:
-        self.name = self.title = subject.fit.settings.model
+    def __init__(self, subject: Subject, edges: str = "decoder", name: str | None = None) -> None:
+        self.name = self.title = name or subject.fit.settings.model
         self.subject, self.predictor = subject, subject.fit.predictor(edges)
 
     def one_step(self) -> tuple[Array, Array | None]:
@@ -82,29 +103,47 @@ class ModelForecaster:
         )
         seen = np.zeros(states.shape[:-1], dtype=bool)
         seen[:, 1:] = self.subject.inputs.mask.numpy()[:, :-1]
-        edges = predictive["edge_probability"].to_numpy()
-        return diverged(states, seen), edges
+        return diverged(states, seen), predictive["edge_probability"].to_numpy()
 
-    def forecasts(self, trials: Rows, rows: Rows, steps: int) -> Array:
-        """Run the rule at its means, one future an origin."""
+    def expected(self, trials: Rows, rows: Rows, steps: int) -> Array:
+        """Follow the transition's means, one future an origin."""
         return self._run(trials, rows, steps, draws=0)
 
-    def free_runs(self, trials: Rows, rows: Rows, steps: int, draws: int, seed: int) -> Array:
-        """Run the rule with everything drawn."""
+    def simulate(self, trials: Rows, rows: Rows, steps: int, draws: int, seed: int) -> Array:
+        """Draw parameters, states and steps."""
         with seeded(seed):
             return self._run(trials, rows, steps, draws=draws)
 
-    def kernels(
+    def density(
+        self, trials: Rows, rows: Rows, steps: Sequence[int], draws: int, seed: int, batch: int = 0
+    ) -> DrawnDensity:
+        """Return the mixture of what drawn futures expect of each next observation.
+
+        Of a model that does not provide it, the drawn positions themselves: it is fitted to the
+        tracks as they are, their noise included.
+        """
+        chosen, longest = np.asarray(steps) - 1, max(steps)
+        mixture = self._mixture(trials, rows, longest, draws, seed)
+        if mixture is None:
+            runs = self.simulate(trials, rows, longest, draws, seed)
+            return DrawnDensity(runs[:, :, chosen, :, : self.subject.num_space])
+        observed = drawn_from_mixture(*mixture, np.random.default_rng((seed, batch)))
+        location, variance, degrees = mixture
+        return DrawnDensity(
+            observed[:, :, chosen], (location[:, :, chosen], variance[:, :, chosen], degrees)
+        )
+
+    def _mixture(
         self, trials: Rows, rows: Rows, steps: int, draws: int, seed: int
     ) -> tuple[Array, Array, float] | None:
-        """Return where sampled futures expect the next sighting, and how surely.
+        """Return location, variance and degrees of freedom in the tracks' own units.
 
-        In the tracks' own units, see :class:`swarmssm.inference.prediction.PredictiveMixture`.
+        See :class:`swarmssm.inference.prediction.PredictiveMixture`.
         """
         at = torch.from_numpy(trials), torch.from_numpy(rows)
         with seeded(seed):
-            beginning = self.predictor.begin(self.subject.inputs, *at, draws)
-            found = self.predictor.kernels(beginning, steps)
+            start = self.predictor.begin(self.subject.inputs, *at, draws)
+            found = self.predictor.kernels(start, steps)
         if found is None:
             return None
         space = self.subject.num_space
@@ -112,15 +151,8 @@ class ModelForecaster:
         offset, scale = np.array(scaler.offset[:space]), np.array(scaler.scale[:space])
         location = found.location.numpy().astype(np.float64) * scale + offset
         variance = found.variance.numpy().astype(np.float64) * scale**2
-        there = np.broadcast_to(beginning.present.numpy()[..., None, :], location.shape[:-1])
-        return diverged(location, there), variance, found.degrees
-
-    def positions(self, trials: Rows, rows: Rows, steps: int, draws: int, seed: int) -> Array:
-        """Run the rule; it is fitted to the tracks as they are, their noise included."""
-        return self.free_runs(trials, rows, steps, draws, seed)[..., : self.subject.num_space]
-
-    def spread(self, states: Array, steps: int) -> None:
-        """Return nothing: it draws."""
+        present = np.broadcast_to(start.present.numpy()[..., None, :], location.shape[:-1])
+        return diverged(location, present), variance, found.degrees
 
     def _run(self, trials: Rows, rows: Rows, steps: int, *, draws: int) -> Array:
         """Run from frames of the subject, a bounded number at once."""
@@ -129,59 +161,102 @@ class ModelForecaster:
         pieces = []
         for first in range(0, len(rows), size):
             chosen = slice(first, first + size)
-            beginning = self.predictor.begin(
+            start = self.predictor.begin(
                 inputs, torch.from_numpy(trials[chosen]), torch.from_numpy(rows[chosen]), draws
             )
-            path = self.predictor.run(beginning, steps, sample=bool(draws))
+            path = self.predictor.run(start, steps, sample=bool(draws))
             scaler = self.subject.fit.preparation.scaler
             states = scaler.inverse(path.states.numpy().astype(np.float64))
-            there = np.broadcast_to(beginning.present.numpy()[..., None, :], states.shape[:-1])
-            pieces.append(diverged(states, there))
+            present = np.broadcast_to(start.present.numpy()[..., None, :], states.shape[:-1])
+            pieces.append(diverged(states, present))
         return np.concatenate(pieces, axis=-4)
 
 
 class BaselineForecaster:
-    """A baseline; its futures are the expected ones, also where others draw theirs."""
+    """A baseline, with errors as large as those it makes.
 
-    def __init__(self, subject: Subject, baseline: Baseline) -> None:
+    Its density is a normal about what it expects, with the covariance of its errors at that step in
+    the training part, else in the scored frames. A fitted one draws free runs, with an error like
+    its one-step errors at each step.
+
+    Parameters
+    ----------
+    baseline
+        The baseline.
+    scored
+        What is scored.
+    states
+        What it may know, ``(trial, time, individual, state)``; absent, the scored states.
+    rule, adjacency
+        Graph rule, and true graphs, from which the next graph is predicted; absent, none is.
+    """
+
+    def __init__(
+        self,
+        baseline: Baseline,
+        scored: ScoredTracks,
+        states: Array | None = None,
+        *,
+        rule: GraphRule | None = None,
+        adjacency: Mask | None = None,
+    ) -> None:
         self.name, self.title = baseline.name, baseline.title
-        self.subject, self.baseline = subject, baseline
-        known = subject.inputs.known.numpy()[..., None]
-        self.known = np.where(known, subject.inputs.states, np.nan)
+        self.baseline, self.scored = baseline, scored
+        self.states = scored.states if states is None else states
+        self.rule, self.adjacency = rule, adjacency
+        self._spread = np.empty((0, 0, 0))
 
     def one_step(self) -> tuple[Array, Array | None]:
         """Predict each frame; the graph is the one before, or that of the predicted states."""
-        states = self.baseline.one_step(self.known, self.subject.fps)
-        if self.name == "stay-put":
-            return states, np.where(
-                _both_known(self.known), _delayed(self.subject.inputs.adjacency.numpy()), np.nan
-            )
-        return states, rule_graph(self.subject.fit.preparation.rule, states)
+        states = self.baseline.one_step(self.states, self.scored.fps)
+        if isinstance(self.baseline, StayPut) and self.adjacency is not None:
+            before = np.full(self.adjacency.shape, np.nan)
+            before[:, 1:] = np.where(_pairs(self.states), self.adjacency, np.nan)[:, :-1]
+            return states, before
+        return states, rule_graph(self.rule, states)
 
-    def forecasts(self, trials: Rows, rows: Rows, steps: int) -> Array:
+    def expected(self, trials: Rows, rows: Rows, steps: int) -> Array:
         """Go on from the given frames."""
-        back = np.arange(1 - self.baseline.order, 1)
-        first = rows[:, None] + back
-        history = self.known[trials[:, None], np.maximum(first, 0)]
-        history[first < 0] = np.nan
-        return self.baseline.predict(history, steps, self.subject.fps)
+        return self._run(trials, rows, steps, None)
 
-    def free_runs(self, trials: Rows, rows: Rows, steps: int, draws: int, seed: int) -> Array:
-        """Go on without noise: one draw."""
-        return self.forecasts(trials, rows, steps)[None]
+    def simulate(self, trials: Rows, rows: Rows, steps: int, draws: int, seed: int) -> Array:
+        """Draw an error at each step; of a baseline that was not fitted, expect."""
+        if self.baseline.residual_covariance is None:
+            return self.expected(trials, rows, steps)[None]
+        generator = np.random.default_rng(seed)
+        return np.stack([self._run(trials, rows, steps, generator) for _ in range(draws)])
 
-    def positions(self, trials: Rows, rows: Rows, steps: int, draws: int, seed: int) -> None:
-        """Return nothing: a baseline has no noise of its own."""
+    def density(
+        self, trials: Rows, rows: Rows, steps: Sequence[int], draws: int, seed: int, batch: int = 0
+    ) -> NormalDensity:
+        """Return normals about what is expected."""
+        chosen, longest = np.asarray(steps) - 1, max(steps)
+        if len(self._spread) != longest:
+            training = self.scored.training
+            source = self.scored.states if training is None else training
+            self._spread = self.baseline.error_covariances(source, longest, self.scored.fps)
+        mean = self.expected(trials, rows, longest)[:, chosen, :, : self.scored.num_space]
+        return NormalDensity(mean, self._spread[chosen, None])
 
-    def spread(self, states: Array, steps: int) -> Array:
-        """Measure its errors."""
-        return baseline_covariances(self.baseline, states, steps, self.subject.fps)
+    def _run(
+        self, trials: Rows, rows: Rows, steps: int, generator: np.random.Generator | None
+    ) -> Array:
+        """Go on from histories, a bounded number at once."""
+        order = max(self.baseline.order, 1)
+        size = max(1, HISTORIES // (order * int(np.prod(self.states.shape[2:]))))
+        pieces = []
+        for first in range(0, len(rows), size):
+            chosen = slice(first, first + size)
+            history = histories(self.states, trials[chosen], rows[chosen], order)
+            path = self.baseline.predict(history, steps, self.scored.fps, generator)
+            pieces.append(diverged(path, known(history[:, -1])[:, None]))
+        return np.concatenate(pieces)
 
 
 class LawForecaster:
-    """The law that simulated the tracks: nobody can do better than its noise allows.
+    """The dynamics that simulated the tracks: no model does better than their noise allows.
 
-    It goes on only from frames in which everybody's state is known, since anybody may be seen.
+    They go on only from frames in which everybody's state is known, since anybody may be seen.
     """
 
     name, title = "noise-floor", "true rule (noise floor)"
@@ -204,8 +279,8 @@ class LawForecaster:
         tracks, inputs = self.subject.tracks, self.subject.inputs
         order = ("trial", "time", "individual", "space")
         following = tracks["next_position"].transpose(*order).to_numpy()
-        if _differences(self.subject):
-            # What will be seen is a difference of seen positions; the last of them is known.
+        if self.subject.fit.settings.velocity == "difference" or "velocity" not in tracks:
+            # What will be observed is a difference of observed positions; the last is known.
             velocity = (following - inputs.states[..., : following.shape[-1]]) * self.subject.fps
         else:
             velocity = tracks["next_velocity"].transpose(*order).to_numpy()
@@ -214,33 +289,28 @@ class LawForecaster:
         predicted[:, 1:] = np.where(inputs.known.numpy()[..., None], states, np.nan)[:, :-1]
         return predicted, rule_graph(self.subject.fit.preparation.rule, predicted)
 
-    def forecasts(self, trials: Rows, rows: Rows, steps: int) -> Array | None:
+    def expected(self, trials: Rows, rows: Rows, steps: int) -> Array | None:
         """Run the law without noise."""
         return self._run(trials, rows, steps, None)
 
-    def free_runs(
-        self, trials: Rows, rows: Rows, steps: int, draws: int, seed: int
-    ) -> Array | None:
+    def simulate(self, trials: Rows, rows: Rows, steps: int, draws: int, seed: int) -> Array | None:
         """Run the law with fresh noise."""
         generator = torch.Generator().manual_seed(seed)
         flat = self._run(np.tile(trials, draws), np.tile(rows, draws), steps, generator)
         return None if flat is None else flat.reshape(draws, len(rows), *flat.shape[1:])
 
-    def positions(
-        self, trials: Rows, rows: Rows, steps: int, draws: int, seed: int
-    ) -> Array | None:
+    def density(
+        self, trials: Rows, rows: Rows, steps: Sequence[int], draws: int, seed: int, batch: int = 0
+    ) -> DrawnDensity | None:
         """Run the law with fresh noise, and add that of tracking."""
-        runs = self.free_runs(trials, rows, steps, draws, seed)
+        runs = self.simulate(trials, rows, max(steps), draws, seed)
         if runs is None:
             return None
+        runs = runs[..., : self.subject.num_space]
         parameters = json.loads(self.subject.tracks.attrs["simulation"])
         noise = float(parameters.get("observation_noise", 0.0))
-        drawn = np.random.default_rng(seed).normal(size=(*runs.shape[:-1], self.subject.num_space))
-        positions: Array = runs[..., : self.subject.num_space] + noise * drawn
-        return positions
-
-    def spread(self, states: Array, steps: int) -> None:
-        """Return nothing: it draws."""
+        drawn: Array = runs + noise * np.random.default_rng(seed).normal(size=runs.shape)
+        return DrawnDensity(drawn[:, :, np.asarray(steps) - 1])
 
     def _run(
         self, trials: Rows, rows: Rows, steps: int, generator: torch.Generator | None
@@ -258,8 +328,25 @@ class LawForecaster:
         return torch.stack(path, dim=1).numpy()
 
 
+def baseline_forecaster(
+    baseline: Baseline, subject: Subject, training: Array | None
+) -> BaselineForecaster:
+    """Return a baseline that knows what a fit knows, and predicts graphs by the fit's rule.
+
+    Its errors are measured on states of the training part, if these are given.
+    """
+    inputs = subject.inputs
+    return BaselineForecaster(
+        baseline,
+        replace(subject, training=training),
+        np.where(inputs.known.numpy()[..., None], inputs.states, np.nan),
+        rule=subject.fit.preparation.rule,
+        adjacency=inputs.adjacency.numpy(),
+    )
+
+
 def law_forecaster(subject: Subject) -> tuple[LawForecaster | None, str]:
-    """Return the true rule of simulated tracks, or the reason why there is none."""
+    """Return the dynamics of simulated tracks, or the reason why there are none."""
     if not {"next_position", "next_velocity"} <= set(subject.tracks.data_vars):
         return None, "The tracks do not carry the true next state: the noise floor is unknown."
     if subject.fit.settings.velocity == "kalman":
@@ -269,11 +356,6 @@ def law_forecaster(subject: Subject) -> tuple[LawForecaster | None, str]:
     return None, "The law of the tracks cannot be read: the noise floor is unknown."
 
 
-def _differences(subject: Subject) -> bool:
-    """Return whether the velocities are differences of the seen positions."""
-    return subject.fit.settings.velocity == "difference" or "velocity" not in subject.tracks
-
-
 def rule_graph(rule: GraphRule | None, states: Array) -> Array | None:
     """Return the graph that a rule makes of predicted states: 0, 1, and NaN where unknown."""
     if rule is None:
@@ -281,32 +363,20 @@ def rule_graph(rule: GraphRule | None, states: Array) -> Array | None:
     position, velocity = np.split(states, 2, axis=-1)
     with contextlib.suppress(InputError, WorkError):
         graph: Any = rule(torch.from_numpy(position), torch.from_numpy(velocity))
-        there = known(states)
-        pairs = there[..., :, None] & there[..., None, :]
-        return np.where(pairs, graph.numpy().astype(np.float64), np.nan)
+        return np.where(_pairs(states), graph.numpy().astype(np.float64), np.nan)
     return None
 
 
-def diverged(states: Array, present: npt.NDArray[np.bool_]) -> Array:
-    """Return states with infinity where a forecast of somebody present broke down.
+def diverged(states: Array, present: Mask) -> Array:
+    """Return states with infinity where a forecast of somebody present is not a number.
 
-    Left as NaN it would not count, and who breaks down would be scored on the rest.
+    Left as NaN it would not count, and who diverges would be scored on the rest.
     """
-    broken = present[..., None] & np.isnan(states)
-    return np.where(broken, np.inf, states)
+    return np.where(present[..., None] & np.isnan(states), np.inf, states)
 
 
-def _delayed(graph: npt.NDArray[np.bool_]) -> Array:
-    """Shift graphs to the frame after, the first frame NaN."""
-    out = np.full(graph.shape, np.nan)
-    out[:, 1:] = graph[:, :-1]
-    return out
-
-
-def _both_known(states: Array) -> npt.NDArray[np.bool_]:
-    """Return the pairs that were known in the frame before."""
-    there = known(states)
-    before = np.zeros_like(there)
-    before[:, 1:] = there[:, :-1]
-    pairs: npt.NDArray[np.bool_] = before[..., :, None] & before[..., None, :]
+def _pairs(states: Array) -> Mask:
+    """Return the pairs of which both are known."""
+    here = known(states)
+    pairs: Mask = here[..., :, None] & here[..., None, :]
     return pairs

@@ -7,8 +7,8 @@ import numpy.typing as npt
 import xarray as xr
 
 from swarmssm import metrics
+from swarmssm.analysis.posterior.subject import ScoredTracks
 from swarmssm.analysis.scoring.forecasters import Forecaster
-from swarmssm.analysis.scoring.scored import Scored
 from swarmssm.metrics.masked import known
 from swarmssm.tracks import Array
 
@@ -19,7 +19,7 @@ Rows = npt.NDArray[np.int64]
 BOUNDS = 1e6
 
 
-def free_run_starts(subject: Scored, steps: int, count: int) -> tuple[Rows, Rows]:
+def free_run_starts(subject: ScoredTracks, steps: int, count: int) -> tuple[Rows, Rows]:
     """Return trial and row of the starts: spread over the frames that leave room for the run.
 
     Where a trial is too short for that there is one start, its first usable frame.
@@ -39,7 +39,7 @@ def free_run_starts(subject: Scored, steps: int, count: int) -> tuple[Rows, Rows
 
 
 def collective_scores(
-    subject: Scored,
+    subject: ScoredTracks,
     forecasters: Sequence[Forecaster],
     *,
     steps: int,
@@ -63,7 +63,7 @@ def collective_scores(
     series: dict[str, Array] = {"truth": truth[None]}
     titles, notes = ["truth"], []
     for forecaster in forecasters:
-        runs = forecaster.free_runs(trials, rows, steps, draws, seed)
+        runs = forecaster.simulate(trials, rows, steps, draws, seed)
         if runs is None:
             notes.append(
                 f"Free runs of the {forecaster.title} are left out: it does not know all states "

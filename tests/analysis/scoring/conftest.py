@@ -1,4 +1,4 @@
-"""A backtest of a quick fit, and one with planted numbers."""
+"""Scores of a quick fit, and some with planted numbers."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -7,18 +7,21 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from swarmssm.analysis.scoring import backtest
+from swarmssm.analysis.scoring import score
+
+#: What is no method that was asked for.
+REFERENCES = ("stay-put", "constant-velocity", "noise-floor")
 
 
 @pytest.fixture(scope="session")
 def scores(quick_fit, boids) -> xr.Dataset:
     """A model that learned nothing, the baselines and the law that made the tracks."""
-    return backtest({"net": quick_fit}, boids, horizons=(1, 3, 5), origins=12, draws=60)
+    return score({"net": quick_fit}, boids, horizons=(1, 3, 5), origins=12, draws=60)
 
 
 @pytest.fixture
 def planted() -> Callable[..., xr.Dataset]:
-    """Return a function that makes a backtest with given scores."""
+    """Return a function that makes scores with given scores."""
     return plant
 
 
@@ -32,7 +35,7 @@ def plant(
     every: int = 5,
     **attrs: Any,
 ) -> xr.Dataset:
-    """Make a backtest: ``crps`` has for each model something that broadcasts to (origin, horizon).
+    """Make scores: ``crps`` has for each model something that broadcasts to (origin, horizon).
 
     The log score is minus the CRPS, energy score and squared error twice it.
     """
@@ -61,6 +64,7 @@ def plant(
         {
             "model": list(crps),
             "title": ("model", list(crps)),
+            "fitted": ("model", [name not in REFERENCES for name in crps]),
             "horizon": list(horizons),
             "ahead": ("horizon", np.asarray(horizons) / 10.0),
             "level": [0.5, 0.9],

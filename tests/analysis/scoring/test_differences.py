@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from swarmssm.analysis.scoring import paired_difference, score_table, sentence, skill
+from swarmssm.analysis.scoring import paired_difference, score_table, skill, summary, verdict
 from swarmssm.analysis.scoring.differences import block_length, moving_blocks
 from swarmssm.errors import InputError
 
@@ -133,23 +133,28 @@ def test_blocks_and_levels_out_of_range_are_told(planted):
         score_table(scores, "rmse")
 
 
-def test_the_sentence_says_who_is_better_and_whether_by_chance(planted):
+def test_the_verdict_has_skill_interval_and_coverage(planted):
     noise = np.random.default_rng(3).normal(scale=0.01, size=(80, 1))
-    known = {"a": 2.0 + noise, "constant-velocity": 4.0, "noise-floor": 1.0}
-    told = sentence(planted(known))
-    assert told.startswith("5 steps ahead (0.500 s), a is off by a CRPS of 2.00 cm, beside 4.00 of")
-    assert "better than constant velocity at each horizon, and not by chance" in told
-    assert "closes 67 % of the gap" in told
-    behind = sentence(planted(known | {"a": 5.0 + noise}))
-    assert "One step ahead it is farther from the true rule than constant velocity." in behind
-    assert told.endswith("Its 90 % intervals hold 90 % of what came, as they should.")
-    level = {"a": 4.0 + 100 * noise, "constant-velocity": 4.0}
-    told = sentence(planted(level, coverage=0.7, trained_on=[9, 0]))
-    assert "At no horizon does it differ from constant velocity by more than chance." in told
-    assert "too narrow" in told
-    assert told.endswith("a had seen some of these frames in training: this is no test of it.")
-    few = sentence(planted({"a": np.ones((6, 1)), "constant-velocity": 2.0}))
-    assert "cannot be told: the origins are too few" in few
-    worse = {"a": np.array([3.0, 9.0]) + noise, "b": 10.0, "constant-velocity": 4.0}
-    told = sentence(planted(worse))
-    assert "It is better than constant velocity at one step and worse" in told
+    better = verdict(planted({"a": 2.0 + noise, "constant-velocity": 4.0, "stay-put": 9.0}))
+    assert "a: CRPS 5 steps (0.500 s) ahead 50 % lower than constant-velocity" in better
+    assert "interval 50 to 50 %" in better
+    assert "90 %" in better.rpartition("intervals contain ")[2]
+    assert "too" not in better
+    level = planted({"a": 4.0 + 100 * noise, "stay-put": 4.0}, coverage=0.7, trained_on=[9, 0])
+    assert "no clear difference" in verdict(level)
+    assert "too narrow" in verdict(level)
+    assert "not a test" in verdict(level)
+    few = verdict(planted({"a": np.ones((6, 1)), "constant-velocity": 2.0}))
+    assert "too few origins" in few
+    worse = {"a": np.array([9.0, 3.0]) + noise, "b": 10.0, "constant-velocity": 4.0}
+    assert "worse at 1 steps" in verdict(planted(worse))
+    assert verdict(planted(worse), "b").startswith("b: CRPS 5 steps (0.500 s) ahead 150 % higher")
+
+
+def test_the_summary_has_the_skill_over_the_best_reference(planted):
+    found = summary(planted({"a": np.full((40, 2), [2.0, 3.0]), "stay-put": 4.0}))
+    assert found.loc["a", ("skill", 1)] == pytest.approx(0.5)
+    assert found.loc["a", ("skill_low", 5)] == pytest.approx(0.25)
+    assert found.loc["stay-put", ("skill", 5)] == 0.0
+    assert found.loc["a", ("crps", 5)] == 3.0
+    assert found.loc["a", ("coverage", 5)] == pytest.approx(0.9)

@@ -16,7 +16,7 @@ from swarmssm.analysis.diagnostics.checks.statistics import Statistic, chosen_st
 from swarmssm.analysis.diagnostics.checks.swarm import Scales, Swarm
 from swarmssm.analysis.diagnostics.checks.verdicts import LEVEL, verdicts
 from swarmssm.analysis.posterior.intervals import QUANTILES, quantiles
-from swarmssm.analysis.scoring.subject import Subject, subject_of
+from swarmssm.analysis.posterior.subject import Subject, subject_of
 from swarmssm.errors import InputError
 from swarmssm.inference import Fit
 from swarmssm.jobs import Progress
@@ -82,7 +82,7 @@ def check(
         Length of a run; absent, a whole trial of the part if that has at most 200 frames, else
         equal runs of at most that.
     part
-        See :func:`swarmssm.analysis.scoring.subject.subject_of`. Absent: the test part.
+        See :func:`swarmssm.analysis.posterior.subject.subject_of`. Absent: the test part.
     seed
         Of all draws.
     progress

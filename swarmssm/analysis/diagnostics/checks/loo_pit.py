@@ -14,7 +14,7 @@ import xarray as xr
 from swarmssm.analysis.diagnostics.checks.pit import RANKS, ranks_of
 from swarmssm.analysis.diagnostics.sbc.ranks import calibration_of_ranks
 from swarmssm.analysis.posterior.foresight import predict_one_step
-from swarmssm.analysis.scoring.subject import subject_of
+from swarmssm.analysis.posterior.subject import subject_of
 from swarmssm.errors import InputError
 from swarmssm.inference import Fit
 from swarmssm.tracks import Array

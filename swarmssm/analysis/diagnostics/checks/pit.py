@@ -15,8 +15,8 @@ import scipy.special
 import xarray as xr
 
 from swarmssm.analysis.diagnostics.sbc.ranks import calibration_of_ranks
-from swarmssm.analysis.scoring.forecasters import ModelForecaster
-from swarmssm.analysis.scoring.subject import Subject, subject_of
+from swarmssm.analysis.posterior.subject import Subject, subject_of
+from swarmssm.analysis.scoring.forecasters import FitForecaster
 from swarmssm.analysis.scoring.table import format_number
 from swarmssm.errors import InputError
 from swarmssm.inference import Fit
@@ -81,7 +81,7 @@ def one_step_pit(
     subject = subject_of(fit, tracks, part)
     trials, rows = _origins(subject, origins)
     truth = subject.ahead(trials, rows, 1)[:, 0, :, : subject.num_space]
-    forecaster = ModelForecaster(subject, "decoder")
+    forecaster = FitForecaster(subject, "decoder")
     pit = np.concatenate(
         [
             _pit(forecaster, truth[chosen], trials[chosen], rows[chosen], draws, seed)
@@ -151,7 +151,7 @@ def _origins(subject: Subject, count: int) -> tuple[npt.NDArray[np.int64], ...]:
 
 
 def _pit(
-    forecaster: ModelForecaster,
+    forecaster: FitForecaster,
     truth: Array,
     trials: npt.NDArray[np.int64],
     rows: npt.NDArray[np.int64],
@@ -159,11 +159,11 @@ def _pit(
     seed: int,
 ) -> Array:
     """Return ``(origin, individual, space)``."""
-    kernels = forecaster.kernels(trials, rows, 1, draws, seed)
-    if kernels is not None:
-        location, variance, degrees = kernels
+    density = forecaster.density(trials, rows, (1,), draws, seed)
+    if density.mixture is not None:
+        location, variance, degrees = density.mixture
         return mixture_pit(truth, location[:, :, 0], variance[:, :, 0], degrees)
-    drawn = forecaster.positions(trials, rows, 1, draws, seed)[:, :, 0]
+    drawn = density.draws[:, :, 0]
     # Half of the gap between two draws to either side.
     below = (drawn < truth).sum(0) + 0.5 * np.isinf(drawn).sum(0) * np.isfinite(truth)
     pit: Array = (below + 0.5) / (draws + 1.0)

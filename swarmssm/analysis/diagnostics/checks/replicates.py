@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from swarmssm.analysis.posterior.subject import Subject
 from swarmssm.analysis.scoring.free_runs import BOUNDS
-from swarmssm.analysis.scoring.subject import Subject
 from swarmssm.errors import InputError
 from swarmssm.inference.prediction import seeded
 from swarmssm.inference.prediction.base import Predictor

@@ -4,7 +4,7 @@ import numpy as np
 import xarray as xr
 
 from swarmssm.analysis.plots.scenes.scene import one_trial, row_at
-from swarmssm.analysis.scoring.subject import same_tracks
+from swarmssm.analysis.posterior.frames import same_tracks
 from swarmssm.errors import InputError, WorkError
 from swarmssm.graphs import add_adjacency
 from swarmssm.inference import Fit

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from swarmssm.analysis.diagnostics.checks.replicates import replicates, runs_of
-from swarmssm.analysis.scoring.subject import subject_of
+from swarmssm.analysis.posterior.subject import subject_of
 from swarmssm.errors import InputError
 from swarmssm.inference.prediction import Trajectory
 

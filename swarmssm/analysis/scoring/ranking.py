@@ -1,4 +1,4 @@
-"""The order of models by their scores, and what every comparison says of it."""
+"""The order of models by their scores, and the dataset that every comparison returns."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -8,12 +8,12 @@ import xarray as xr
 
 __all__ = ["NOISE_FLOOR", "ranked", "ranking"]
 
-#: The true rule of simulated tracks, which is no rival.
+#: The true rule of simulated tracks, which has no rank.
 NOISE_FLOOR = "noise-floor"
 
 
 def ranked(score: Mapping[str, float], last: Sequence[str] = ()) -> list[str]:
-    """Return names from the best on; what is not known, and who is no rival, at the end."""
+    """Return names from the best on; what is not known, and what has no rank, at the end."""
 
     def key(name: str) -> tuple[bool, float]:
         value = score[name]
@@ -32,11 +32,11 @@ def ranking(
     units: str,
 ) -> xr.Dataset:
     """Put what all methods have into one dataset."""
-    rivals = [name for name in order if name in fitted or name != NOISE_FLOOR]
+    ranked_names = [name for name in order if name in fitted or name != NOISE_FLOOR]
     data: dict[str, Any] = {
         "rank": (
             "model",
-            [rivals.index(name) + 1 if name in rivals else 0 for name in order],
+            [ranked_names.index(name) + 1 if name in ranked_names else 0 for name in order],
             {"units": "1", "long_name": "rank, 1 the best"},
         ),
         "fitted": (

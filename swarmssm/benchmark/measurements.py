@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from swarmssm.benchmark.measuring import Measured
+from swarmssm.benchmark.measure_method import Measured
 from swarmssm.errors import InputError
 from swarmssm.files import write_beside
 
@@ -39,10 +39,10 @@ def open_folder(folder: Path, facts: dict[str, Any]) -> None:
     InputError
         If it holds measurements of other tracks or settings.
     """
-    told = json.dumps(facts, indent=2, sort_keys=True)
+    about = json.dumps(facts, indent=2, sort_keys=True)
     path = folder / TASK
     if path.exists():
-        if path.read_text(encoding="utf-8") != told:
+        if path.read_text(encoding="utf-8") != about:
             raise InputError(
                 f"{folder}: its measurements are of other tracks or settings. Choose another "
                 "--out, or --overwrite them."
@@ -50,7 +50,7 @@ def open_folder(folder: Path, facts: dict[str, Any]) -> None:
         return
     folder.mkdir(parents=True, exist_ok=True)
     with write_beside(path) as temporary:
-        temporary.write_text(told, encoding="utf-8")
+        temporary.write_text(about, encoding="utf-8")
 
 
 def part_path(folder: Path, method: str, seed: int) -> Path:
@@ -73,17 +73,17 @@ def read_part(path: Path) -> CachedResult | None:
     """Read a file; ``None`` if it is not there, or was not written by :func:`write_measured`."""
     try:
         with np.load(path) as file:
-            told = json.loads(str(file["told"]))
-            if told["reason"]:
-                return CachedResult(None, str(told["reason"]))
-            return CachedResult(Measured(told["facts"], *(file[name] for name in ARRAYS)), "")
+            about = json.loads(str(file["about"]))
+            if about["reason"]:
+                return CachedResult(None, str(about["reason"]))
+            return CachedResult(Measured(about["facts"], *(file[name] for name in ARRAYS)), "")
     except (OSError, ValueError, KeyError):
         return None
 
 
-def _write(path: Path, told: dict[str, Any], arrays: dict[str, Any]) -> None:
+def _write(path: Path, about: dict[str, Any], arrays: dict[str, Any]) -> None:
     """Write all at once."""
     stream = io.BytesIO()
-    np.savez_compressed(stream, told=np.array(json.dumps(told)), **arrays)
+    np.savez_compressed(stream, about=np.array(json.dumps(about)), **arrays)
     with write_beside(path, overwrite=True) as temporary:
         temporary.write_bytes(stream.getvalue())

@@ -1,39 +1,39 @@
 """The models of this package as methods of a benchmark, with the settings of each."""
 
-from swarmssm.benchmark.own_edges import InferredEdgesMethod
-from swarmssm.benchmark.own_method import OwnMethod
+from swarmssm.benchmark.inferred_edges_method import InferredEdgesMethod
+from swarmssm.benchmark.model_method import ModelMethod
 
-__all__ = ["OWN"]
+__all__ = ["MODELS"]
 
 #: Walls that are inferred from where animals happened to be push them out of the rest of the tank.
 ANIMALS = {"relaxation": True, "limits": False, "walls": False, "noise": "additive"}
-OWN: dict[str, OwnMethod] = {
+MODELS: dict[str, ModelMethod] = {
     one.name: one
     for one in (
-        OwnMethod(
+        ModelMethod(
             "graph-vae",
             "graph VAE of the thesis",
             "graph-vae",
             exact_settings={"epochs": 300},
             noisy_settings={"epochs": 300},
         ),
-        OwnMethod(
+        ModelMethod(
             "boids",
             "boids, gains inferred",
             "boids",
             exact={"observed": "states"},
             noisy=ANIMALS,
             exact_settings={"epochs": 150, "lr": 0.02},
-            told=True,
+            knows_boids=True,
         ),
-        OwnMethod(
+        ModelMethod(
             "linear",
             "linear forces, solved exactly",
             "linear",
             exact={"observed": "states"},
             exact_settings={"epochs": 100, "lr": 0.02},
         ),
-        OwnMethod(
+        ModelMethod(
             "kernel",
             "kernels of distance, inferred",
             "kernel",
@@ -41,7 +41,7 @@ OWN: dict[str, OwnMethod] = {
             noisy={"angular": 2, **ANIMALS},
             exact_settings={"epochs": 100, "lr": 0.02},
         ),
-        OwnMethod(
+        ModelMethod(
             "graph-ssm",
             "graph state-space model",
             "graph-ssm",
@@ -66,7 +66,7 @@ OWN: dict[str, OwnMethod] = {
             exact_settings={"lr": 0.02, "window": 15, "batch_windows": 16},
             noisy_settings={"guide": "markov"},
             edge_settings={"lr": 0.01, "batch_windows": 8, "edge_options": {"sparsity": 0.5}},
-            told=True,
+            knows_boids=True,
         ),
     )
 }

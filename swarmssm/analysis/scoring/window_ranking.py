@@ -9,8 +9,8 @@ import xarray as xr
 
 from swarmssm.analysis.posterior.foresight import predict_one_step
 from swarmssm.analysis.posterior.log_likelihood import Window, window_sums, windows_over
-from swarmssm.analysis.scoring.compare.importance import LeftOut, good_k, psis_lfo, psis_loo
-from swarmssm.analysis.scoring.compare.ranking import ranked, ranking
+from swarmssm.analysis.scoring.importance import LeftOut, good_k, psis_lfo, psis_loo
+from swarmssm.analysis.scoring.ranking import ranked, ranking
 from swarmssm.errors import InputError
 from swarmssm.inference import Fit
 from swarmssm.tracks import Array, with_trials
@@ -118,17 +118,17 @@ def by_windows(
 
 
 def _common(densities: Mapping[str, Mask]) -> tuple[Mask, list[str]]:
-    """Return the frames in which all models foresee the same positions, ``(trial, time)``."""
+    """Return the frames in which all models forecast the same positions, ``(trial, time)``."""
     masks = list(densities.values())
     same = np.logical_and.reduce([(mask == masks[0]).all(-1) for mask in masks])
     scored: Mask = same & masks[0].any(-1)
     dropped = int((np.logical_or.reduce([mask.any(-1) for mask in masks]) & ~same).sum())
     if not scored.any():
-        raise InputError("fits: they foresee no frame in common, so that they cannot be compared.")
+        raise InputError("fits: they forecast no frame in common, so that they cannot be compared.")
     if not dropped:
         return scored, []
     return scored, [
-        f"{dropped} frames are left out in which the models do not foresee the same individuals."
+        f"{dropped} frames are left out in which the models do not forecast the same individuals."
     ]
 
 

@@ -1,16 +1,13 @@
-"""Scores over horizons, and how much better they are than those of a rival."""
+"""Scores over horizons, and how much better they are than those of a reference."""
 
 import numpy as np
 import xarray as xr
 
-from swarmssm.analysis.scoring.densities import SCORES
+from swarmssm.analysis.scoring.scores import LOWER_IS_BETTER, SCORES
 from swarmssm.errors import InputError
 from swarmssm.tracks import Array
 
-__all__ = ["LOWER_IS_BETTER", "at_level", "check_model", "score_table", "skill"]
-
-#: Scores of which less is better; of ``log_score`` more is.
-LOWER_IS_BETTER = ("crps", "energy_score", "mse")
+__all__ = ["at_level", "check_model", "score_table", "skill"]
 
 
 def score_table(scores: xr.Dataset, score: str = "log_score", level: float = 0.9) -> xr.DataArray:
@@ -19,9 +16,9 @@ def score_table(scores: xr.Dataset, score: str = "log_score", level: float = 0.9
     Parameters
     ----------
     scores
-        From :func:`swarmssm.analysis.scoring.backtest`.
+        From :func:`swarmssm.analysis.scoring.score`.
     score
-        ``"log_score"``, ``"crps"``, ``"energy_score"``, ``"mse"``, ``"coverage"`` or ``"width"``.
+        One of :data:`swarmssm.analysis.scoring.SCORES`.
     level
         Of the interval, for the last two.
 
@@ -48,20 +45,20 @@ def score_table(scores: xr.Dataset, score: str = "log_score", level: float = 0.9
 def skill(
     scores: xr.Dataset, reference: str = "constant-velocity", perfect: str | None = None
 ) -> xr.Dataset:
-    r"""Return how much better the models are than a rival.
+    r"""Return how much better the models are than a reference.
 
     .. math:: \frac{\bar S_{ref} - \bar S}{\bar S_{ref} - \bar S_{perfect}}
 
     with the scores averaged first. Of CRPS, energy score and squared error perfect is 0: a skill of
-    0.3 is an error less by 30 %, a negative one says that the rival is better. The log score has no
-    such end: without ``perfect`` it is the plain difference, in nats per coordinate.
+    0.3 is an error less by 30 %, a negative one says that the reference is better. The log score
+    has no such end: without ``perfect`` it is the plain difference, in nats per coordinate.
 
     Parameters
     ----------
     scores
-        From :func:`swarmssm.analysis.scoring.backtest`.
+        From :func:`swarmssm.analysis.scoring.score`.
     reference
-        Name of the rival.
+        Name of the reference.
     perfect
         Name of a model that counts as perfect: of simulated tracks ``"noise-floor"``, the true
         rule. A skill of 1 then says that a model is as good as the truth, and nobody can be better
@@ -69,8 +66,8 @@ def skill(
 
     Returns
     -------
-    ``log_score``, ``crps``, ``energy_score`` and ``mse (model, horizon)``; NaN where the rival is
-    as good as perfect.
+    Each score with a direction, ``(model, horizon)``; NaN where the reference
+    is as good as perfect.
 
     Raises
     ------
@@ -81,15 +78,15 @@ def skill(
     if perfect is not None:
         check_model(scores, perfect, "perfect")
     data = {}
-    for score in ("log_score", *LOWER_IS_BETTER):
+    for score in (name for name, one in SCORES.items() if one.sign):
         table = score_table(scores, score)
         base = table.sel(model=reference, drop=True)
         gain = base - table
         if perfect is not None:
             span = base - table.sel(model=perfect, drop=True)
             value, units = gain / span.where(span != 0), "1"
-        elif score == "log_score":
-            value, units = -gain, "nat"
+        elif score not in LOWER_IS_BETTER:
+            value, units = -gain, str(table.attrs["units"])
         else:
             value, units = gain / base.where(base != 0), "1"
         value.attrs = {"units": units, "long_name": f"skill against {reference}: {score}"}

@@ -11,7 +11,7 @@ import xarray as xr
 
 from swarmssm import inference, io
 from swarmssm.analysis import evaluate
-from swarmssm.analysis.scoring import backtest, frames_trained_on, score_table, skill
+from swarmssm.analysis.scoring import frames_trained_on, score, score_table, skill
 from swarmssm.errors import InputError
 from swarmssm.metrics import gaussian_crps, gaussian_energy_score, gaussian_log_score
 from swarmssm.tracks import states_of
@@ -85,13 +85,13 @@ def test_constant_velocity_is_scored_as_by_hand(scores, quick_fit, boids):
 
 
 def test_one_fit_gets_the_scores_of_its_evaluation(quick_fit, boids):
-    found = backtest({"net": quick_fit}, boids, horizons=(1, 4), origins=8, seed=3)
+    found = score({"net": quick_fit}, boids, horizons=(1, 4), origins=8, seed=3)
     other = evaluate(quick_fit, boids, horizons=(1, 4), origins=8, seed=3, free_run_steps=2)
     for own, name in ((NET, "graph-vae"), (STAY, STAY), (FLOOR, FLOOR)):
         for horizon in (1, 4):
-            for score in ("log_score", "crps", "coverage"):
-                table = score_table(found, score).sel(model=own, horizon=horizon)
-                assert float(table) == pytest.approx(other.score(score, name, horizon)), score
+            for kind in ("log_score", "crps", "coverage"):
+                table = score_table(found, kind).sel(model=own, horizon=horizon)
+                assert float(table) == pytest.approx(other.score(kind, name, horizon)), kind
     at_one = other.to_dict()["methods"]["graph-vae"]["horizons"]["1"]
     assert at_one["crps"] == pytest.approx(other.score("crps", "graph-vae", 1))
     assert at_one["coverage"]["0.5"] == other.score("coverage", "graph-vae", 1, level=0.5)
@@ -99,8 +99,8 @@ def test_one_fit_gets_the_scores_of_its_evaluation(quick_fit, boids):
 
 def test_the_true_rule_is_best_and_its_intervals_hold(scores):
     """Of some 600 coordinates, those of one origin depending on each other: 6 sd of 12 origins."""
-    for score in ("log_score", "crps", "energy_score"):
-        best = skill(scores, STRAIGHT, FLOOR)[score]
+    for kind in ("log_score", "crps", "energy_score"):
+        best = skill(scores, STRAIGHT, FLOOR)[kind]
         assert float(best.sel(model=FLOOR).min()) == pytest.approx(1.0)
         assert float(best.sel(model=[NET, STAY]).max()) < 1.0
     for level in (0.5, 0.8, 0.9):
@@ -113,7 +113,7 @@ def test_fits_that_differ_in_scaler_and_velocity_meet_on_the_same_frames(boids, 
     other = inference.fit(
         "graph-vae", boids, epochs=1, seed=1, scaler="isotropic", velocity="kalman"
     )
-    both = backtest({"one": quick_fit, "two": other, "again": quick_fit}, boids, **FEW)
+    both = score({"one": quick_fit, "two": other, "again": quick_fit}, boids, **FEW)
     assert both["frame"].values.min() == 1
     assert both.sizes["origin"] == 6
     np.testing.assert_array_equal(both["crps"].sel(model="one"), both["crps"].sel(model="again"))
@@ -135,7 +135,7 @@ def test_individuals_that_are_away_count_for_nobody(quick_fit, boids):
         quick_fit,
         provenance={**quick_fit.provenance, "data": {"sha256": "another"}},
     )
-    found = backtest({"net": fit}, tracks, horizons=(1, 5), origins=60, draws=20, part="all")
+    found = score({"net": fit}, tracks, horizons=(1, 5), origins=60, draws=20, part="all")
     own = found.isel(origin=np.flatnonzero(found["trial"] == test.trial)).swap_dims(origin="frame")
     assert 30 not in own["frame"]
     number = own["number"]
@@ -156,7 +156,7 @@ def test_a_model_that_breaks_down_counts_and_is_infinitely_bad(quick_fit, boids,
     monkeypatch.setattr(
         type(broken.guide), "encode", lambda self, states, graph: dist.Normal(1e9 * states, 1.0)
     )
-    found = backtest({"net": broken}, boids, horizons=(1, 8), origins=5, draws=20)
+    found = score({"net": broken}, boids, horizons=(1, 8), origins=5, draws=20)
     own = found.sel(model=NET, horizon=8).isel(origin=0)
     assert int(own["number"]) == 5
     assert float(own["crps"]) == np.inf
@@ -175,18 +175,18 @@ def test_splits_that_differ_meet_in_what_all_hold_out(quick_fit, boids):
         train=(Segment(first, 0, 20),),
         test=(Segment(first, 20, 60), Segment(second, 0, 60)),
     )
-    found = backtest({"one": one, "two": two}, boids, horizons=(1,), origins=99, draws=20)
+    found = score({"one": one, "two": two}, boids, horizons=(1,), origins=99, draws=20)
     assert found["trial"].values.tolist() == [first] * 19
     assert found["frame"].values.tolist() == list(range(20, 39))
     assert found.attrs["part"] == "common"
     assert "what all hold out" in found.attrs["notes"][0]
     apart = with_split(quick_fit, train=(Segment(first, 0, 60),), test=(Segment(second, 0, 60),))
     with pytest.raises(InputError, match="test of one, test of apart have no two consecutive"):
-        backtest({"one": one, "apart": apart}, boids)
+        score({"one": one, "apart": apart}, boids)
 
 
 def test_frames_that_trained_a_model_are_told(quick_fit, boids):
-    found = backtest({"net": quick_fit}, boids, part="all", **FEW)
+    found = score({"net": quick_fit}, boids, part="all", **FEW)
     number = sum(s.stop - s.start for s in quick_fit.split.train)
     assert int(found["trained_on"].sel(model=NET)) == number
     assert f"net was trained on {number} of the scored frames" in " ".join(found.attrs["notes"])
@@ -195,22 +195,22 @@ def test_frames_that_trained_a_model_are_told(quick_fit, boids):
 
 def test_other_tracks_are_held_out_whole(quick_fit, boids):
     tracks = boids.isel(time=slice(0, 30))
-    found = backtest({"net": quick_fit}, tracks, **FEW)
+    found = score({"net": quick_fit}, tracks, **FEW)
     assert found.attrs["part"] == "all"
     assert len(set(found["trial"].values)) == 4
     notes = " ".join(found.attrs["notes"])
     assert "net was not fitted on these tracks" in notes
-    assert "their scores flatter them" in notes
+    assert "their scores are too good" in notes
     with pytest.raises(InputError, match="have no test part of theirs"):
-        backtest({"net": quick_fit}, tracks, part="test")
+        score({"net": quick_fit}, tracks, part="test")
 
 
 def test_horizons_without_room_are_left_out(quick_fit, boids):
-    found = backtest({"net": quick_fit}, boids, horizons=(1, 80), origins=3, draws=20)
+    found = score({"net": quick_fit}, boids, horizons=(1, 80), origins=3, draws=20)
     assert found["horizon"].values.tolist() == [1]
     assert "room for at most 59 steps ahead: 80 steps are not scored" in found.attrs["notes"][0]
     with pytest.raises(InputError, match="room for at most 59 steps"):
-        backtest({"net": quick_fit}, boids, horizons=(80,))
+        score({"net": quick_fit}, boids, horizons=(80,))
 
 
 def test_it_can_be_written_and_read(scores, tmp_path):
@@ -222,7 +222,7 @@ def test_it_can_be_written_and_read(scores, tmp_path):
 
 def test_progress_is_told(quick_fit, boids):
     seen = []
-    backtest({"net": quick_fit}, boids, progress=seen.append, **FEW)
+    score({"net": quick_fit}, boids, progress=seen.append, **FEW)
     assert [one.done for one in seen] == [1, 2, 3, 4]
     assert {one.total for one in seen} == {4}
 
@@ -233,7 +233,7 @@ def test_progress_is_told(quick_fit, boids):
         ({"horizons": (5, 1)}, "horizons: give rising whole numbers"),
         ({"horizons": ()}, "horizons: give rising whole numbers"),
         ({"levels": (0.5, 1.0)}, "levels: give probabilities between 0 and 1"),
-        ({"levels": (0.5, 0.5)}, "levels: one of .* stands there twice"),
+        ({"levels": (0.5, 0.5)}, "levels: one of .* is given twice"),
         ({"origins": 0}, "origins: it must be at least 1"),
         ({"draws": 5}, "draws: it must be at least 10, and it is 5"),
         ({"seed": -1}, "seed: it must not be negative"),
@@ -242,11 +242,11 @@ def test_progress_is_told(quick_fit, boids):
 )
 def test_arguments_out_of_range_are_told(quick_fit, boids, options, message):
     with pytest.raises(InputError, match=message):
-        backtest({"net": quick_fit}, boids, **options)
+        score({"net": quick_fit}, boids, **options)
 
 
 def test_names_must_be_free_and_fits_there(quick_fit, boids):
-    with pytest.raises(InputError, match="fits: at least one"):
-        backtest({}, boids)
-    with pytest.raises(InputError, match="stay-put is the name of a rival"):
-        backtest({STAY: quick_fit}, boids)
+    with pytest.raises(InputError, match="at least one fit is needed"):
+        score({}, boids)
+    with pytest.raises(InputError, match="stay-put is the name of a reference"):
+        score({STAY: quick_fit}, boids)

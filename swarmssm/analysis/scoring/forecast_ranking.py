@@ -6,9 +6,11 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 import xarray as xr
 
-from swarmssm.analysis.scoring import backtest, paired_difference, score_table
-from swarmssm.analysis.scoring.compare.fairness import held_out_frames
-from swarmssm.analysis.scoring.compare.ranking import NOISE_FLOOR, ranked, ranking
+from swarmssm.analysis.scoring.differences import paired_difference
+from swarmssm.analysis.scoring.fairness import held_out_frames
+from swarmssm.analysis.scoring.ranking import NOISE_FLOOR, ranked, ranking
+from swarmssm.analysis.scoring.rolling_origin import score
+from swarmssm.analysis.scoring.summaries import score_table
 from swarmssm.errors import InputError
 from swarmssm.inference import Fit
 
@@ -28,7 +30,7 @@ def by_forecasts(
 ) -> xr.Dataset:
     """Rank by the log score of forecasts, averaged over horizons."""
     held_out_frames(fits, tracks, part, allow_seen=allow_seen)
-    scores = backtest(
+    scores = score(
         fits,
         tracks,
         horizons=horizons,
@@ -67,7 +69,7 @@ def by_forecasts(
         set(fits),
         "nat per coordinate",
     )
-    result["log_score"] = table.sel(model=order).drop_vars("title", errors="ignore")
+    result["log_score"] = table.sel(model=order).drop_vars(["title", "fitted"], errors="ignore")
     result.attrs |= {
         "method": "held-out",
         "part": scores.attrs["part"],

@@ -8,14 +8,14 @@ from typing import Any
 from swarmssm.benchmark.task import Task
 from swarmssm.inference import Fit, TrainingProgress, fit
 
-__all__ = ["OwnMethod", "by_trial"]
+__all__ = ["ModelMethod", "by_trial"]
 
-#: Passes over the data from which the time that one takes is told.
+#: Passes over the data from which the time of one is measured.
 PILOT = 3
 
 
 @dataclass(frozen=True)
-class OwnMethod:
+class ModelMethod:
     """A model with the settings it is compared with.
 
     Attributes
@@ -29,7 +29,7 @@ class OwnMethod:
     exact_settings, noisy_settings
         Of the fit, see :class:`swarmssm.inference.settings.FitSettings`. The
         ``epochs`` among them are cut down to what the budget allows.
-    told
+    knows_boids
         Whether the model contains the true forms of simulated boids.
     """
 
@@ -40,12 +40,12 @@ class OwnMethod:
     noisy: dict[str, Any] = field(default_factory=dict)
     exact_settings: dict[str, Any] = field(default_factory=dict)
     noisy_settings: dict[str, Any] = field(default_factory=dict)
-    told: bool = False
+    knows_boids: bool = False
 
     def knows_true_form(self, task: Task) -> bool:
         """Return whether the model holds the very forms that the tracks were made by."""
         law = json.loads(task.tracks.attrs.get("simulation", "{}")).get("law")
-        return self.told and law == "boids"
+        return self.knows_boids and law == "boids"
 
     def fit(self, task: Task, seconds: float | None, seed: int) -> Fit:
         """Fit within a budget of processor seconds."""

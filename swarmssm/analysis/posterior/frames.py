@@ -8,13 +8,20 @@ import numpy.typing as npt
 import xarray as xr
 
 from swarmssm.analysis.posterior.joining import joined
-from swarmssm.analysis.scoring.subject import default_part, same_tracks
 from swarmssm.errors import InputError
 from swarmssm.inference import Fit
+from swarmssm.inference.fitting import tracks_digest
 from swarmssm.tracks import with_trials
 from swarmssm.tracks.splits import PARTS, Segment
 
-__all__ = ["ScoredFrames", "common_frames", "frames_trained_on", "rolling_origins"]
+__all__ = [
+    "ScoredFrames",
+    "common_frames",
+    "default_part",
+    "frames_trained_on",
+    "rolling_origins",
+    "same_tracks",
+]
 
 Rows = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
@@ -41,6 +48,17 @@ class ScoredFrames:
     segments: tuple[Segment, ...]
     trained_on: dict[str, int]
     notes: tuple[str, ...]
+
+
+def same_tracks(fit: Fit, tracks: xr.Dataset) -> bool:
+    """Return whether these are the very tracks that a model was fitted on."""
+    data = fit.provenance.get("data", {})
+    return bool(data.get("sha256") == tracks_digest(tracks))
+
+
+def default_part(fit: Fit) -> str:
+    """Return the part of a fit's own tracks that tells most of what it has not seen."""
+    return next((part for part in ("test", "validation") if fit.split.part(part)), "all")
 
 
 def common_frames(

@@ -1,17 +1,17 @@
-"""A model of this package that is told of no graph, and infers who acts on whom."""
+"""A model of this package that is given no graph, and infers who acts on whom."""
 
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from swarmssm.benchmark.own_method import OwnMethod, by_trial
+from swarmssm.benchmark.model_method import ModelMethod, by_trial
 from swarmssm.benchmark.task import Task
 from swarmssm.inference import Fit, fit, fixed_transition
 
 __all__ = ["InferredEdgesMethod"]
 
-#: Share of the time in which laws are fitted on graphs that may do for the time being.
+#: Share of the time in which transitions are fitted on graphs that may do for the time being.
 SHARE = 0.35
 #: Processor seconds where no budget is given.
 USUAL = 300.0
@@ -20,11 +20,11 @@ FEWEST, MOST = 3, 1000
 
 
 @dataclass(frozen=True)
-class InferredEdgesMethod(OwnMethod):
-    """Edges inferred under a law of motion that is held.
+class InferredEdgesMethod(ModelMethod):
+    """Edges inferred under a transition that is fixed.
 
-    Laws of motion are fitted on some graphs by distance first. The one with the best evidence lower
-    bound in the validation part is held (``fixed_transition``), and edges that may
+    Transitions are fitted on some graphs by distance first. The one with the best evidence lower
+    bound in the validation part is fixed (``fixed_transition``), and edges that may
     change in each frame are learned under it. The graph of the task is not looked at.
 
     Attributes
@@ -59,8 +59,8 @@ class InferredEdgesMethod(OwnMethod):
         rules += [f"k-nearest:{number}" for number in self.neighbors]
         rules = rules if first.scales.spacing else rules[len(self.spacings) :]
         steps = _affordable(SHARE * budget / len(rules), lambda n: learn(graph=rules[-1], steps=n))
-        laws = [learn(graph=rule, steps=steps) for rule in rules]
-        best = min(laws, key=lambda law: float(law.history["validation_loss"].min()))
+        transitions = [learn(graph=rule, steps=steps) for rule in rules]
+        best = min(transitions, key=lambda one: float(one.history["validation_loss"].min()))
         edges = {
             "edges": "dynamic-relational",
             "priors": fixed_transition(best),

@@ -10,15 +10,14 @@ import numpy as np
 import numpy.typing as npt
 
 from swarmssm import metrics
+from swarmssm.analysis.posterior.subject import subject_of
 from swarmssm.analysis.scoring.baseline import Baseline, Training
-from swarmssm.analysis.scoring.densities import position_scores
-from swarmssm.analysis.scoring.forecasters import Forecaster, ModelForecaster
+from swarmssm.analysis.scoring.forecasters import BaselineForecaster, FitForecaster, Forecaster
 from swarmssm.analysis.scoring.free_runs import collective_scores
-from swarmssm.analysis.scoring.subject import subject_of
+from swarmssm.analysis.scoring.rolling_origin import score_positions
 from swarmssm.baselines.registry import BASELINES, baseline_named
 from swarmssm.benchmark.edges import edge_scores
-from swarmssm.benchmark.own import OWN
-from swarmssm.benchmark.rivals import RivalForecaster
+from swarmssm.benchmark.models import MODELS
 from swarmssm.benchmark.task import Task
 from swarmssm.benchmark.true_rule import TrueRule, true_rule
 from swarmssm.metrics.masked import known
@@ -29,7 +28,7 @@ __all__ = ["FLOOR", "METHODS", "Measured", "measure"]
 Rows = npt.NDArray[np.int64]
 FLOOR = TrueRule.name
 #: All that can be compared, in the order of tables before they are sorted.
-METHODS = (*BASELINES, *OWN)
+METHODS = (*BASELINES, *MODELS)
 MEGABYTE = 1024.0 * (1024.0 if sys.platform == "darwin" else 1.0)
 
 
@@ -78,10 +77,10 @@ def measure(task: Task, name: str, seconds: float | None, seed: int) -> Measured
     trials, rows = task.forecast_origins
     facts |= _one_step(task, forecaster)
     began = time.process_time()
-    expected = forecaster.forecasts(trials, rows, max(task.steps))
+    expected = forecaster.expected(trials, rows, max(task.steps))
     facts["predict_s"] = time.process_time() - began
     assert expected is not None, "only the law of a simulation declines, and it is asked otherwise"
-    ahead = task.ahead(trials, rows, max(task.steps))
+    ahead = task.scored.ahead(trials, rows, max(task.steps))
     facts["unscored"] = _unscored(task, rows, ahead, expected)
     errors = metrics.horizon_errors(
         task.scaler.transform(ahead),
@@ -91,8 +90,8 @@ def measure(task: Task, name: str, seconds: float | None, seed: int) -> Measured
     ).squared_error
     facts |= {f"roll_{k}": float(errors[k - 1]) for k in task.steps}
     facts |= _free_runs(task, forecaster)
-    scores = position_scores(
-        task,
+    scores = score_positions(
+        task.scored,
         forecaster,
         trials,
         rows,
@@ -100,8 +99,7 @@ def measure(task: Task, name: str, seconds: float | None, seed: int) -> Measured
         draws=task.samples,
         seed=task.seed,
         levels=(0.9,),
-        scores=("log_score", "crps", "coverage"),
-        training=task.training if task.validation is None else task.validation,
+        names=("log_score", "crps", "coverage"),
     )
     assert scores is not None
     for place, k in enumerate(task.steps):
@@ -117,14 +115,14 @@ def _fitted(
     task: Task, name: str, seconds: float | None, seed: int
 ) -> tuple[Forecaster, dict[str, Any], Any]:
     """Return a fitted method as a forecaster, what to say of it, and itself."""
-    if name in OWN:
-        method = OWN[name]
+    if name in MODELS:
+        method = MODELS[name]
         fit = method.fit(task, seconds, seed)
         subject = subject_of(fit, task.context, "all")
-        forecaster = ModelForecaster(subject, "decoder")
+        forecaster = FitForecaster(subject)
         about = {
             "title": method.title,
-            "told": method.knows_true_form(task),
+            "knows_true_form": method.knows_true_form(task),
             "parameters": fit.num_parameters,
         }
         return forecaster, about, fit
@@ -137,10 +135,10 @@ def _fitted(
     baseline.fit_states(task.training, task.fps, terms)
     about = {
         "title": baseline.title,
-        "told": baseline.knows_true_form,
+        "knows_true_form": baseline.knows_true_form,
         "parameters": baseline.num_parameters,
     }
-    return RivalForecaster(task, baseline), about, baseline
+    return BaselineForecaster(baseline, task.scored), about, baseline
 
 
 def _one_step(task: Task, forecaster: Forecaster) -> dict[str, float]:
@@ -167,7 +165,7 @@ def _free_runs(task: Task, forecaster: Forecaster) -> dict[str, float]:
         ("_drawn", forecaster, task.draws),
     ):
         series, _ = collective_scores(
-            task,
+            task.scored,
             [runner],
             steps=task.free_steps,
             starts=task.starts,
@@ -183,36 +181,17 @@ def _free_runs(task: Task, forecaster: Forecaster) -> dict[str, float]:
 
 
 class _Expected:
-    """A forecaster that runs freely without noise."""
+    """A forecaster whose free runs are without noise."""
 
     def __init__(self, forecaster: Forecaster) -> None:
-        self.forecaster = forecaster
         self.name, self.title = forecaster.name, forecaster.title
+        self.one_step, self.expected = forecaster.one_step, forecaster.expected
+        self.density = forecaster.density
 
-    def one_step(self) -> tuple[Array, Array | None]:
-        """Predict each frame."""
-        return self.forecaster.one_step()
-
-    def forecasts(self, trials: Rows, rows: Rows, steps: int) -> Array | None:
-        """Return expected futures."""
-        return self.forecaster.forecasts(trials, rows, steps)
-
-    def free_runs(
-        self, trials: Rows, rows: Rows, steps: int, draws: int, seed: int
-    ) -> Array | None:
+    def simulate(self, trials: Rows, rows: Rows, steps: int, draws: int, seed: int) -> Array | None:
         """Return the expected future as the only draw."""
-        path = self.forecaster.forecasts(trials, rows, steps)
+        path = self.expected(trials, rows, steps)
         return None if path is None else path[None]
-
-    def positions(
-        self, trials: Rows, rows: Rows, steps: int, draws: int, seed: int
-    ) -> Array | None:
-        """Return what the forecaster does."""
-        return self.forecaster.positions(trials, rows, steps, draws, seed)
-
-    def spread(self, states: Array, steps: int) -> Array | None:
-        """Return what the forecaster does."""
-        return self.forecaster.spread(states, steps)
 
 
 def _unscored(task: Task, rows: Rows, ahead: Array, expected: Array) -> float:
@@ -226,5 +205,5 @@ def _unscored(task: Task, rows: Rows, ahead: Array, expected: Array) -> float:
 
 def _mean(values: Array) -> float:
     """Return the mean of what is known."""
-    told = ~np.isnan(values)
-    return float(values[told].mean()) if told.any() else float("nan")
+    scored = ~np.isnan(values)
+    return float(values[scored].mean()) if scored.any() else float("nan")

@@ -4,9 +4,8 @@ from collections.abc import Mapping
 
 import xarray as xr
 
+from swarmssm.analysis.posterior.frames import ScoredFrames, common_frames, same_tracks
 from swarmssm.analysis.posterior.joining import joined
-from swarmssm.analysis.scoring.frames import ScoredFrames, common_frames
-from swarmssm.analysis.scoring.subject import same_tracks
 from swarmssm.errors import InputError
 from swarmssm.inference import Fit
 from swarmssm.inference.data import prepare
