@@ -24,6 +24,7 @@ from swarmssm.models.graph_vae import GraphVAE
 from swarmssm.models.initial import InitialStates
 from swarmssm.models.markov import MarkovChain, StepInputs
 from swarmssm.models.parameters import assign
+from swarmssm.models.presets.pair_forces import pair_forces
 from swarmssm.models.priors import parameters_of, parse_distribution, with_priors
 from swarmssm.models.registry import MODELS, find_model
 from swarmssm.models.scales import Scales, scales_of
@@ -64,6 +65,7 @@ __all__ = [
     "assign",
     "describe_model",
     "find_model",
+    "pair_forces",
     "parameters_of",
     "parse_distribution",
     "scales_of",

@@ -108,7 +108,7 @@ def test_boids_are_the_special_case_of_powers(seed):
     distance = torch.tensor([0.2, 1.0, 3.0], dtype=DOUBLE)
     for name, values in boids.kernels(distance).items():
         torch.testing.assert_close(kernel.kernels(distance)[name], values, **close)
-    assert boids.kernel_sums == kernel.kernel_sums
+    assert boids.kernel_kinds == kernel.kernel_kinds
 
 
 @pytest.mark.parametrize("exponent", [0.5, 2.0])

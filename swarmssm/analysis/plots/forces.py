@@ -1,5 +1,6 @@
 """Forces on the individuals: how strong over time, which share, and where they point."""
 
+import zlib
 from typing import Any
 
 import numpy as np
@@ -20,10 +21,17 @@ TERM_COLOURS = {
     "self": "#8a6fc8",
     "other": "#7f7f7f",
 }
+#: Of forces that only a model of one's own has.
+OWN_COLOURS = ("#a0522d", "#c4679b", "#6b8e23", "#b8860b", "#4f6d7a")
 #: So many draws are drawn as arrows of their own at most.
 FAINT_DRAWS = 20
 #: The longest arrow, as a share of the extent of the group.
 ARROW = 0.16
+
+
+def term_colour(term: str) -> str:
+    """Return the colour of a force, the same in every figure."""
+    return TERM_COLOURS.get(term, OWN_COLOURS[zlib.crc32(term.encode()) % len(OWN_COLOURS)])
 
 
 def plot_force_magnitudes(
@@ -51,7 +59,7 @@ def plot_force_magnitudes(
     highest = 0.0
     for term in chosen["term"].to_numpy():
         low, middle, high = chosen.sel(term=term).transpose("quantile", "time").to_numpy()
-        colour = TERM_COLOURS.get(str(term), "#000000")
+        colour = term_colour(str(term))
         ax.fill_between(seconds, low, high, color=colour, alpha=0.22, linewidth=0)
         ax.plot(seconds, middle, color=colour, linewidth=1.2, label=str(term))
         for curve, share in ((middle, 0.995), (high, 0.95)):
@@ -85,7 +93,7 @@ def plot_force_shares(summary: xr.Dataset, ax: Axes | None = None) -> tuple[Figu
     low, middle, high = 100 * summary["share"].transpose("quantile", "term").to_numpy()
     terms = [str(term) for term in summary["term"].to_numpy()]
     rows = np.arange(len(terms))
-    colours = [TERM_COLOURS.get(term, "#000000") for term in terms]
+    colours = [term_colour(term) for term in terms]
     ax.barh(rows, middle, color=colours, alpha=0.8, height=0.68)
     around = np.nan_to_num([middle - low, high - middle]).clip(min=0)
     ax.errorbar(middle, rows, xerr=around, fmt="none", ecolor="#000000", elinewidth=1.4, capsize=3)
@@ -142,7 +150,7 @@ def plot_force_arrows(
     across, up = place[:, 0], place[:, 1]
     arrows: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": scale}
     for term, draws, middle in zip(terms, own, mean, strict=True):
-        arrows["color"] = TERM_COLOURS.get(term, "#000000")
+        arrows["color"] = term_colour(term)
         for one in draws[:FAINT_DRAWS] if len(draws) > 1 else []:
             ax.quiver(across, up, one[:, 0], one[:, 1], alpha=0.12, width=0.003, zorder=2, **arrows)
         ax.quiver(

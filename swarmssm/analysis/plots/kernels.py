@@ -25,6 +25,11 @@ from swarmssm.analysis.plots.style import (
 __all__ = ["plot_force_maps", "plot_kernels", "plot_modulation"]
 
 NET = "#2f86c6"
+#: Colours of kernels, those of the forces that they make.
+KERNEL_COLOURS = {
+    "attraction": TERM_COLOURS["cohesion"],
+    "repulsion": TERM_COLOURS["separation"],
+}
 #: Ink on a map, which is light in any page.
 DARK = "#111111"
 #: Bins of a map with too few pairs, and the middle of its scale of colours.
@@ -78,19 +83,28 @@ def plot_kernels(
         ("net", NET, "force of a neighbour: away < 0 < towards"),
         ("alignment", TERM_COLOURS["alignment"], "alignment with a neighbour"),
     )
+    along = {
+        str(key).removesuffix("_along"): kind
+        for key, kind in kernels.attrs.items()
+        if str(key).endswith("_along")
+    }
+    radial = [name for name, kind in along.items() if kind == "offset"]
     for ax, (name, colour, title) in zip(grid[0], panels, strict=True):
+        if name not in kernels:
+            ax.set_visible(False)
+            continue
         curves = kernels[name].transpose("quantile", "distance").to_numpy()
         ax.axhline(0.0, color="#7f7f7f", linewidth=0.8, zorder=1)
         _faded_band(ax, distance, curves, alpha, colour)
         ax.plot([], [], color=colour, linewidth=2.0, label="posterior, 90 % band")
         shown = [curves[:, inside]]
-        if name == "net" and "repulsion" in kernels:
+        if name == "net" and len(radial) > 1:
             number = float(kernels["neighbors"].sel(quantile=0.5))
-            for part in ("attraction", "repulsion"):
+            for place, part in enumerate(radial):
                 middle, word = kernels[part].sel(quantile=0.5).to_numpy(), part
                 if kernels.attrs.get(f"{part}_over_neighbors") == "sum":
                     middle, word = number * middle, f"{part} by {number:.2g} neighbours"
-                style = TERM_COLOURS["cohesion" if part == "attraction" else "separation"]
+                style = KERNEL_COLOURS.get(part, f"C{place}")
                 ax.plot(distance, middle, "--", color=style, linewidth=1.1, alpha=0.8, label=word)
         if truth is not None and name in truth:
             true = truth[name].to_numpy()

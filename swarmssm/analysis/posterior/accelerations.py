@@ -21,6 +21,7 @@ from swarmssm.inference.guides import OneStepGuide, PathGuide
 from swarmssm.inference.prediction import seeded
 from swarmssm.models import OneStepModel, StateSpaceModel, StepInputs
 from swarmssm.models.parts import own_parameters
+from swarmssm.models.transitions import NamedForces
 from swarmssm.tracks.scaling import Scaler
 
 __all__ = ["AccelerationModel", "PosteriorPaths", "acceleration_model", "posterior_paths"]
@@ -112,11 +113,14 @@ class AccelerationModel(ABC):
     terms
         Names of the forces that the model is built of, in the order of :meth:`forces`; empty for
         one that has none.
+    forgets_velocity
+        Whether forces add up to the next velocity, so that the old one is lost.
     """
 
     space: int
     dt: float
     terms: tuple[str, ...] = ()
+    forgets_velocity: bool = False
 
     @abstractmethod
     def acceleration(
@@ -210,7 +214,11 @@ class _StateSpaceMotion(AccelerationModel):
     def __init__(self, model: StateSpaceModel, scaler: Scaler, dt: float, middle: Values) -> None:
         self.model, self.scaler, self.dt, self.middle = model, scaler, dt, middle
         self.space = model.state_dim // 2
-        self.terms = tuple(getattr(model.transition, "terms", ()))
+        transition = model.transition
+        self.named = transition if isinstance(transition, NamedForces) else None
+        if self.named is not None:
+            self.terms = tuple(self.named.terms)
+            self.forgets_velocity = bool(self.terms) and self.named.form == "velocity"
         self.dtype = next(
             (t.dtype for t in (*model.parameters(), *model.buffers()) if t.is_floating_point()),
             torch.get_default_dtype(),
@@ -239,14 +247,14 @@ class _StateSpaceMotion(AccelerationModel):
         values: Values | None = None,
     ) -> torch.Tensor:
         """Return the named terms; see :meth:`Motion.forces`."""
-        if not self.terms:
+        if self.named is None or not self.terms:
             return super().forces(states, adjacency, present, values)
         scaled, inputs = self._scaled(states, adjacency, present)
         with self._given(values), pyro.validation_enabled(False):
             inputs = self.model.edges.complete(scaled, inputs)
-            found: torch.Tensor = self.model.transition.forces(scaled, inputs).to(states.dtype)
+            found: torch.Tensor = self.named.forces(scaled, inputs).to(states.dtype)
         found = found * states.new_tensor(self.scaler.scale)[self.space :]
-        if getattr(self.model.transition, "form", "acceleration") == "velocity":
+        if self.forgets_velocity:
             found = found / self.dt
         return found if present is None else found * present[..., None, :, None]
 

@@ -5,5 +5,6 @@ from swarmssm.models.presets.edges import EDGES, with_edges
 from swarmssm.models.presets.graph import graph_ssm
 from swarmssm.models.presets.kernel import kernel
 from swarmssm.models.presets.linear import linear
+from swarmssm.models.presets.pair_forces import pair_forces
 
-__all__ = ["EDGES", "boids", "graph_ssm", "kernel", "linear", "with_edges"]
+__all__ = ["EDGES", "boids", "graph_ssm", "kernel", "linear", "pair_forces", "with_edges"]

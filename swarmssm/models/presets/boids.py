@@ -21,8 +21,9 @@ from swarmssm.models.presets.self_terms import (
 from swarmssm.models.scales import Scales
 from swarmssm.models.state_space import StateSpaceModel
 from swarmssm.models.transitions.boids import BoidsTransition
+from swarmssm.models.transitions.force import Noise
 from swarmssm.models.transitions.hierarchy import Hierarchical
-from swarmssm.models.transitions.social import Form, Noise
+from swarmssm.models.transitions.protocols import Form
 
 __all__ = ["boids"]
 

@@ -20,9 +20,9 @@ from swarmssm.models.presets.self_terms import (
 )
 from swarmssm.models.scales import Scales
 from swarmssm.models.state_space import StateSpaceModel
+from swarmssm.models.transitions.force import Noise
 from swarmssm.models.transitions.kernel import Aggregation, KernelTransition
 from swarmssm.models.transitions.radial_basis import SplineBasis
-from swarmssm.models.transitions.social import Noise
 
 __all__ = ["Influence", "kernel", "smoothing_prior"]
 

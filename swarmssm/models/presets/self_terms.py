@@ -21,7 +21,8 @@ from swarmssm.models.priors import parameters_of, with_priors
 from swarmssm.models.scales import Scales
 from swarmssm.models.state_space import StateSpaceModel
 from swarmssm.models.transitions.base import Transition
-from swarmssm.models.transitions.social import Form, Noise
+from swarmssm.models.transitions.force import Noise
+from swarmssm.models.transitions.protocols import Form
 
 __all__ = [
     "WIDE",

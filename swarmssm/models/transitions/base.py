@@ -4,15 +4,17 @@ from dataclasses import replace
 from typing import Any, ClassVar, NamedTuple
 
 import torch
-from pyro.distributions import MultivariateStudentT, TorchDistribution
+from pyro.distributions import MultivariateStudentT, Normal, TorchDistribution
 from torch.func import jacfwd, vmap
 
+from swarmssm.errors import InputError
 from swarmssm.graphs import dense
 from swarmssm.models.batch import SwarmBatch
 from swarmssm.models.distributions.kinematic import Kinematic
 from swarmssm.models.layers import check_sizes
 from swarmssm.models.markov import StepInputs
 from swarmssm.models.parts import LocalPyroModule
+from swarmssm.models.transitions.protocols import Form
 
 __all__ = ["KinematicTransition", "Linearization", "Transition", "covariance_of", "location_of"]
 
@@ -187,9 +189,11 @@ class Transition(LocalPyroModule):
 
 
 class KinematicTransition(Transition):
-    """A transition in which bodies move with their next velocity: ``p' = p + dt v'``.
+    r"""A transition in which bodies move with their next velocity: ``p' = p + dt v'``.
 
-    A subclass writes :meth:`velocity`.
+    A subclass writes :attr:`terms` and :meth:`forces`, which add up to the acceleration
+    (:math:`v' = v + dt \sum_k F_k + \sigma \sqrt{dt}\, \epsilon`), and gives itself the parameter
+    ``process_noise``, :math:`\sigma`; or it writes :meth:`velocity`.
 
     Parameters
     ----------
@@ -209,6 +213,35 @@ class KinematicTransition(Transition):
         """Velocities are free, positions follow."""
         return self.space
 
+    @property
+    def form(self) -> Form:
+        """What :meth:`forces` add up to."""
+        return "acceleration"
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """Names of the :meth:`forces`, in their order; none, if they are not told apart."""
+        return ()
+
+    def forces(self, states: torch.Tensor, inputs: StepInputs) -> torch.Tensor:
+        """Return what each force contributes to the acceleration.
+
+        Parameters
+        ----------
+        states
+            ``(..., individual, state)``.
+        inputs
+            As in :meth:`Transition.forward`.
+
+        Returns
+        -------
+        ``(..., term, individual, space)``, in the order of :attr:`terms`.
+        """
+        raise TypeError(
+            f"{type(self).__name__} must define terms and forces(states, inputs), or "
+            "velocity(positions, velocities, inputs)"
+        )
+
     def velocity(
         self, positions: torch.Tensor, velocities: torch.Tensor, inputs: StepInputs
     ) -> TorchDistribution:
@@ -225,9 +258,15 @@ class KinematicTransition(Transition):
         -------
         Batch shape ``(..., individual)``, event shape ``(space,)``.
         """
-        raise TypeError(
-            f"{type(self).__name__} must define velocity(positions, velocities, inputs)"
-        )
+        found = self.forces(torch.cat([positions, velocities], -1), inputs)
+        if found.shape[-3:] != (len(self.terms), *positions.shape[-2:]):
+            raise InputError(
+                f"forces: they must be (..., term, individual, space) = "
+                f"(..., {len(self.terms)}, {positions.shape[-2]}, {positions.shape[-1]}) for the "
+                f"terms {', '.join(self.terms)}, and they are {tuple(found.shape)}."
+            )
+        noise = (self.process_noise * self.dt**0.5).unsqueeze(-1)
+        return Normal(velocities + self.dt * found.sum(-3), noise).to_event(1)
 
     def forward(self, states: torch.Tensor, inputs: StepInputs) -> Kinematic:
         """Return the distribution of the next states."""

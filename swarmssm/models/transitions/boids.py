@@ -9,9 +9,10 @@ from torch import Tensor
 from swarmssm import forces
 from swarmssm.graphs import Graph
 from swarmssm.models.distributions.speed_limits import TOLERANCE
-from swarmssm.models.transitions.boids_pairs import PairLaw
+from swarmssm.models.transitions.boids_pairs import BoidsPairs
+from swarmssm.models.transitions.force import ForceTransition, Noise, PairDerivative
 from swarmssm.models.transitions.perception import perceive, sight
-from swarmssm.models.transitions.social import ForceTransition, Form, Noise, SocialForce
+from swarmssm.models.transitions.protocols import Form, PairKernel, View
 
 __all__ = ["BoidsTransition"]
 
@@ -129,12 +130,12 @@ class BoidsTransition(ForceTransition):
         )
 
     @property
-    def social_terms(self) -> tuple[str, ...]:
+    def pair_terms(self) -> tuple[str, ...]:
         """Cohesion, separation, alignment."""
         return ("cohesion", "separation", "alignment")
 
-    def social_forces(self, states: Tensor, graph: Graph) -> Tensor:
-        """Return the three terms; see :meth:`ForceTransition.social_forces`."""
+    def pair_forces(self, states: Tensor, graph: Graph) -> Tensor:
+        """Return the three terms; see :meth:`ForceTransition.pair_forces`."""
         positions, velocities = states[..., : self.space], states[..., self.space :]
         relative = self.form == "acceleration"
         if self.has_radius:
@@ -162,9 +163,9 @@ class BoidsTransition(ForceTransition):
         weighted = [g.unsqueeze(-1) * term for g, term in zip(gains, social, strict=True)]
         return torch.stack(torch.broadcast_tensors(*weighted), -3)  # type: ignore[no-untyped-call]
 
-    def social_derivative(self, states: Tensor, adjacency: Tensor, rate: float) -> SocialForce:
+    def pair_derivative(self, states: Tensor, adjacency: Tensor, rate: float) -> PairDerivative:
         """Return the sum of the terms and its derivatives; see the base class."""
-        return PairLaw(
+        return BoidsPairs(
             rate * self.cohesion_gain,
             rate * self.separation_gain,
             rate * self.alignment_gain,
@@ -175,11 +176,11 @@ class BoidsTransition(ForceTransition):
             self.form == "acceleration",
         )(states, adjacency)
 
-    #: How the contributions of the neighbours to each of :meth:`kernels` are put together.
-    kernel_sums: ClassVar[dict[str, str]] = {
-        "attraction": "mean",
-        "repulsion": "sum",
-        "alignment": "mean",
+    #: How each of :meth:`kernels` becomes a force.
+    kernel_kinds: ClassVar[dict[str, PairKernel]] = {
+        "attraction": PairKernel("offset", "mean"),
+        "repulsion": PairKernel("offset", "sum"),
+        "alignment": PairKernel("velocity", "mean"),
     }
 
     def kernels(self, distance: Tensor) -> dict[str, Tensor]:
@@ -212,9 +213,9 @@ class BoidsTransition(ForceTransition):
         share, _ = sight(distance, self.radius.unsqueeze(-1), width)
         return {name: share * value for name, value in found.items()}
 
-    def angular(self, angle: Tensor) -> Tensor:
-        """Return 1: what a boid does depends on no angle."""
-        return torch.ones_like(angle)
+    def view(self) -> View | None:
+        """Return how far an individual sees; ``None``, if only the graph says so."""
+        return View(self.radius, self._radius_width) if self.has_radius else None
 
     @property
     def _radius_width(self) -> Tensor | None:

@@ -5,13 +5,13 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from swarmssm.models.transitions.force import PairDerivative
 from swarmssm.models.transitions.perception import any_in_sight, sight
-from swarmssm.models.transitions.social import SocialForce
 
-__all__ = ["PairLaw"]
+__all__ = ["BoidsPairs"]
 
 
-class PairLaw(NamedTuple):
+class BoidsPairs(NamedTuple):
     r"""Gains and forms of cohesion, separation and alignment.
 
     Attributes
@@ -36,7 +36,7 @@ class PairLaw(NamedTuple):
     width: Tensor | None
     relative: bool
 
-    def __call__(self, states: Tensor, adjacency: Tensor) -> SocialForce:
+    def __call__(self, states: Tensor, adjacency: Tensor) -> PairDerivative:
         """Return force and derivatives at given states.
 
         Parameters
@@ -105,8 +105,11 @@ class PairLaw(NamedTuple):
         by_velocity = (ka * pull)[..., None, :, None] * eye
         if by_position.shape != by_velocity.shape:
             by_position, by_velocity = torch.broadcast_tensors(by_position, by_velocity)  # type: ignore[no-untyped-call]
-        own = None if self.relative else (ka * some).unsqueeze(-1) * eye.squeeze(1)
-        return SocialForce(force, torch.cat([by_position, by_velocity], -1), own)
+        own = None
+        if not self.relative:
+            own = (ka * some).unsqueeze(-1) * eye.squeeze(1)
+            own = torch.cat([torch.zeros_like(own), own], -1)
+        return PairDerivative(force, torch.cat([by_position, by_velocity], -1), own)
 
 
 def _velocity_part(states: Tensor) -> Tensor:

@@ -10,10 +10,11 @@ from torch import Tensor
 from swarmssm.errors import InputError
 from swarmssm.graphs import EdgeList, Graph, degree, dense, pair_sum
 from swarmssm.models.distributions.speed_limits import TOLERANCE
-from swarmssm.models.transitions.kernel_pairs import KernelLaw, angular_factor
+from swarmssm.models.transitions.force import ForceTransition, Noise, PairDerivative
+from swarmssm.models.transitions.kernel_pairs import KernelPairs, angular_factor
 from swarmssm.models.transitions.perception import any_in_sight, sight
+from swarmssm.models.transitions.protocols import PairKernel, PairWeights, View
 from swarmssm.models.transitions.radial_basis import RadialBasis
-from swarmssm.models.transitions.social import ForceTransition, Noise, SocialForce
 
 __all__ = ["Aggregation", "KernelTransition"]
 
@@ -145,15 +146,29 @@ class KernelTransition(ForceTransition):
         self.assign_self_terms(process_noise=process_noise, **own)
 
     @property
-    def social_terms(self) -> tuple[str, ...]:
+    def pair_terms(self) -> tuple[str, ...]:
         """Cohesion, separation, alignment."""
         return ("cohesion", "separation", "alignment")
 
     @property
-    def kernel_sums(self) -> dict[str, str]:
-        """How the contributions of the neighbours to each of :meth:`kernels` are put together."""
-        sums: dict[str, str] = dict.fromkeys(("attraction", "alignment"), self.aggregation)
-        return sums | ({"repulsion": "sum"} if self.has_repulsion else {})
+    def kernel_kinds(self) -> dict[str, PairKernel]:
+        """How each of :meth:`kernels` becomes a force."""
+        kinds = {
+            "attraction": PairKernel("offset", self.aggregation),
+            "alignment": PairKernel("velocity", self.aggregation),
+        }
+        return kinds | ({"repulsion": PairKernel("offset", "sum")} if self.has_repulsion else {})
+
+    def view(self) -> View | None:
+        """Return how far an individual sees; ``None``, if only the graph says so."""
+        return View(self.radius, self._width) if self.has_radius else None
+
+    def pair_weights(self) -> PairWeights:
+        """Return how much each individual moves others, and how much it is moved."""
+        return PairWeights(
+            self.influence if self.has_influence else None,
+            self.responsiveness if self.has_responsiveness else None,
+        )
 
     def kernels(self, distance: Tensor) -> dict[str, Tensor]:
         """Return f, g and q: what a neighbour at given distances does, straight ahead or not.
@@ -184,8 +199,8 @@ class KernelTransition(ForceTransition):
             return torch.ones_like(angle)
         return angular_factor(torch.cos(angle), self.modulation.to(angle.dtype)).factor
 
-    def social_forces(self, states: Tensor, graph: Graph) -> Tensor:
-        """Return cohesion, separation and alignment; see :meth:`ForceTransition.social_forces`.
+    def pair_forces(self, states: Tensor, graph: Graph) -> Tensor:
+        """Return cohesion, separation and alignment; see :meth:`ForceTransition.pair_forces`.
 
         With a repulsion, that is separation, and the attraction cohesion, whatever their signs.
         Without one, the attraction is cohesion where it is positive and separation where it is not.
@@ -234,9 +249,9 @@ class KernelTransition(ForceTransition):
             separation = share * separation
         return torch.stack([share * cohesion, separation, share * alignment], -3)
 
-    def social_derivative(self, states: Tensor, adjacency: Tensor, rate: float) -> SocialForce:
+    def pair_derivative(self, states: Tensor, adjacency: Tensor, rate: float) -> PairDerivative:
         """Return the sum of the terms and its derivatives; see the base class."""
-        return KernelLaw(
+        return KernelPairs(
             self.basis,
             rate * self._coefficients(states.dtype),
             self.modulation if self.is_modulated else None,
@@ -260,11 +275,12 @@ class KernelTransition(ForceTransition):
     @property
     def _weights(self) -> Tensor | None:
         """How often each pair counts, to broadcast against ``(individual, individual)``."""
+        influence, responsiveness = self.pair_weights()
         weights: Tensor | None = None
-        if self.has_influence:
-            weights = self.influence if self.influence.dim() > 1 else self.influence.unsqueeze(-2)
-        if self.has_responsiveness:
-            own = self.responsiveness.unsqueeze(-1)
+        if influence is not None:
+            weights = influence if influence.dim() > 1 else influence.unsqueeze(-2)
+        if responsiveness is not None:
+            own = responsiveness.unsqueeze(-1)
             weights = own if weights is None else own * weights
         return weights
 

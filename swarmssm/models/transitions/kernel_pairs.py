@@ -5,11 +5,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from swarmssm.models.transitions.force import PairDerivative
 from swarmssm.models.transitions.perception import any_in_sight, sight
 from swarmssm.models.transitions.radial_basis import RadialBasis
-from swarmssm.models.transitions.social import SocialForce
 
-__all__ = ["Angular", "KernelLaw", "angular_factor"]
+__all__ = ["Angular", "KernelPairs", "angular_factor"]
 
 
 class Angular(NamedTuple):
@@ -45,7 +45,7 @@ def angular_factor(cosine: Tensor, weights: Tensor) -> Angular:
     return Angular(factor, slope)
 
 
-class KernelLaw(NamedTuple):
+class KernelPairs(NamedTuple):
     r"""Kernels, and how pairs are weighted.
 
     Attributes
@@ -74,7 +74,7 @@ class KernelLaw(NamedTuple):
     width: Tensor | None
     mean: bool
 
-    def __call__(self, states: Tensor, adjacency: Tensor) -> SocialForce:
+    def __call__(self, states: Tensor, adjacency: Tensor) -> PairDerivative:
         """Return force and derivatives at given states.
 
         Parameters
@@ -137,6 +137,7 @@ class KernelLaw(NamedTuple):
             by_offset = (heading - cosine.unsqueeze(-1) * toward) / distance.unsqueeze(-1)
             by_heading = torch.where(moving, (toward - cosine.unsqueeze(-1) * heading) / speed, 0.0)
             own = turn.mT @ by_heading
+            own = torch.cat([torch.zeros_like(own), own], -1)
             along, across = factor * along, factor * across
             along_slope, across_slope = factor * along_slope, factor * across_slope
         force = (along.unsqueeze(-2) @ toward + across.unsqueeze(-2) @ relative).squeeze(-2)
@@ -169,4 +170,4 @@ class KernelLaw(NamedTuple):
             by_position = by_position + turn.mT.unsqueeze(-1) * by_offset.unsqueeze(-3)
         by_velocity = across[..., None, :, None] * eye[:, None, :]
         pairs = torch.cat(torch.broadcast_tensors(by_position, by_velocity), -1)  # type: ignore[no-untyped-call]
-        return SocialForce(force, pairs, own)
+        return PairDerivative(force, pairs, own)

@@ -11,6 +11,7 @@ from swarmssm.inference import Fit
 from swarmssm.inference.guides import PathGuide
 from swarmssm.metrics.arena import Arena
 from swarmssm.models import StateSpaceModel
+from swarmssm.models.transitions import Walls
 
 __all__ = ["arena_of"]
 
@@ -77,15 +78,15 @@ def _told(tracks: xr.Dataset, space: int) -> Arena | None:
 
 def _inferred(fit: Fit, space: int) -> Arena | None:
     """Return the soft walls of a model, in the middle of its posterior."""
-    transition = getattr(fit.model, "transition", None)
-    if not isinstance(fit.model, StateSpaceModel) or not getattr(transition, "has_wall", False):
+    model = fit.model
+    if not isinstance(model, StateSpaceModel) or not isinstance(model.transition, Walls):
         return None
     middle = fit.guide.parameters_guide.median() if isinstance(fit.guide, PathGuide) else {}
     with fit.given(middle):
-        half, centre = (
-            np.broadcast_to(np.asarray(getattr(transition, name).detach(), float), (space,))
-            for name in ("half_width", "center")
-        )
+        box = model.transition.box()
+        if box is None:
+            return None
+        half, centre = (np.broadcast_to(value.detach().double().numpy(), (space,)) for value in box)
     scaler = fit.preparation.scaler
     scale, offset = np.array(scaler.scale[:space]), np.array(scaler.offset[:space])
     low, high = ((centre + sign * half) * scale + offset for sign in (-1, 1))

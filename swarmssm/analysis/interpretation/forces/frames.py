@@ -15,6 +15,7 @@ from swarmssm.errors import InputError
 from swarmssm.graphs import dense
 from swarmssm.inference import Fit
 from swarmssm.models import StateSpaceModel
+from swarmssm.models.transitions import PerceptionRadius
 from swarmssm.models.transitions.perception import sight
 
 __all__ = [
@@ -110,12 +111,12 @@ def seen_graph(fit: Fit, frames: Frames) -> torch.Tensor:
                 return torch.zeros_like(graph)
             graph = dense(inputs.adjacency, scaled.dtype).to(scaled.dtype)
             transition = model.transition
-            if getattr(transition, "has_radius", False):
+            view = transition.view() if isinstance(transition, PerceptionRadius) else None
+            if view is not None:
                 place = scaled[..., : scaled.shape[-1] // 2]
                 distance = torch.cdist(place, place, compute_mode="donot_use_mm_for_euclid_dist")
-                sharp = getattr(transition, "is_sharp", True)
-                width = None if sharp else transition.radius_width.unsqueeze(-1)
-                graph = graph * sight(distance, transition.radius.unsqueeze(-1), width)[0]
+                width = None if view.width is None else view.width.unsqueeze(-1)
+                graph = graph * sight(distance, view.radius.unsqueeze(-1), width)[0]
     there = frames.present.unsqueeze(-1) & frames.present.unsqueeze(-2)
     itself = torch.eye(graph.shape[-1], dtype=torch.bool)
     return graph.masked_fill(~there | itself, 0.0)

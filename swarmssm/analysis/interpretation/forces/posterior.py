@@ -99,7 +99,8 @@ def posterior_forces(
 
     ``force (draw, trial, time, individual, space, term)``
         In length unit per second squared, single precision; NaN where an individual is absent. The
-        terms, :data:`TERMS`, add up to the model's expected acceleration.
+        terms, :data:`TERMS` and forces of the model that have other names, add up to the model's
+        expected acceleration.
     ``position``, ``velocity (draw, trial, time, individual, space)``
         The states that they act on.
     ``explained (draw)``
@@ -121,13 +122,14 @@ def posterior_forces(
     draws = paths.draws
     trials, times, individuals = paths.present.shape
     frames = (trials * times, individuals, motion.space)
-    force = np.empty((draws, *frames, len(TERMS)), np.float32)
+    terms = terms_of(motion)
+    force = np.empty((draws, *frames, len(terms)), np.float32)
     explained = np.empty(draws)
     coefficients = np.full((draws, len(COLUMNS)), np.nan)
     with torch.no_grad():
         for draw in range(draws):
             if motion.terms:
-                _name(fit, motion, paths, draw, force[draw])
+                _name(motion, paths, draw, force[draw])
             else:
                 coefficients[draw] = _project(fit, motion, paths, draw, force[draw])
             whole = np.square(force[draw].sum(-1, dtype=np.float64)).sum()
@@ -143,7 +145,7 @@ def posterior_forces(
     space = motion.space
     result = xr.Dataset(
         {
-            "force": (("draw", *FORCE_DIMS), force.reshape(*shape, len(TERMS)), rate),
+            "force": (("draw", *FORCE_DIMS), force.reshape(*shape, len(terms)), rate),
             "position": (
                 over,
                 states[..., :space].numpy(),
@@ -162,7 +164,7 @@ def posterior_forces(
         },
         {
             "draw": np.arange(draws),
-            "term": list(TERMS),
+            "term": list(terms),
             **labels_of(paths.tracks, "trial", "time", "individual", "space"),
         },
         {
@@ -183,22 +185,27 @@ def posterior_forces(
     )
 
 
-def _name(
-    fit: Fit, motion: AccelerationModel, paths: PosteriorPaths, draw: int, out: Array
-) -> None:
+def terms_of(motion: AccelerationModel) -> tuple[str, ...]:
+    """Return into what the accelerations of a model are split.
+
+    :data:`TERMS`, and before the last two the model's own forces that none of them covers.
+    """
+    own = [name for name in motion.terms if name not in PLACES and name not in TERMS]
+    return (*TERMS[:-2], *own, *TERMS[-2:])
+
+
+def _name(motion: AccelerationModel, paths: PosteriorPaths, draw: int, out: Array) -> None:
     """Write the named terms of a draw ``(frame, individual, space, term)``."""
-    forgets = getattr(fit.model.transition, "form", "acceleration") == "velocity"
+    terms = terms_of(motion)
     for frames in frames_of(paths, draw):
         given = (frames.states, frames.adjacency, frames.present, frames.values)
         whole = motion.acceleration(*given)
-        named = whole.new_zeros(*whole.shape, len(TERMS))
+        named = whole.new_zeros(*whole.shape, len(terms))
         for name, term in zip(motion.terms, motion.forces(*given).unbind(-3), strict=True):
-            place = PLACES.get(name, "other")
-            if place != "other":
-                named[..., TERMS.index(place)] += term
-        if forgets:
+            named[..., terms.index(PLACES.get(name, name))] += term
+        if motion.forgets_velocity:
             own = frames.velocities / motion.dt
-            named[..., TERMS.index("self")] -= own * frames.present.unsqueeze(-1)
+            named[..., terms.index("self")] -= own * frames.present.unsqueeze(-1)
         named[..., -1] = whole - named.sum(-1)
         out[frames.rows] = named.numpy()
 

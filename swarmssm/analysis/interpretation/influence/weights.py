@@ -10,7 +10,9 @@ import xarray as xr
 from swarmssm.analysis.interpretation.forces.frames import QUANTILES
 from swarmssm.analysis.interpretation.influence.ranks import rank_probabilities
 from swarmssm.inference import Fit
+from swarmssm.inference.guides import PathGuide
 from swarmssm.models import StateSpaceModel
+from swarmssm.models.transitions import WeightedPairs
 from swarmssm.tracks import Array
 
 __all__ = ["WEIGHT_SAMPLES", "label_weights", "mean_over", "pair_weights"]
@@ -39,24 +41,20 @@ def pair_weights(
     ``(sample, individual)``; ``None`` where the model has none. Those that are fixed are there
     once.
     """
-    if not isinstance(fit.model, StateSpaceModel):
-        return None, None
-    transition = fit.model.transition
-    names = [
-        name
-        for name in ("influence", "responsiveness")
-        if getattr(transition, f"has_{name}", False)
-    ]
-    if not names:
+    model = fit.model
+    if not isinstance(model, StateSpaceModel) or not isinstance(model.transition, WeightedPairs):
         return None, None
     drawn = fit.parameters(samples, seed)
-    found: dict[str, Array] = {}
-    for name in names:
-        if f"transition.{name}" in drawn:
-            found[name] = drawn[f"transition.{name}"].to_numpy().astype(np.float64)
+    found: list[Array | None] = []
+    middle = fit.guide.parameters_guide.median() if isinstance(fit.guide, PathGuide) else {}
+    with fit.given(middle):
+        weights = model.transition.pair_weights()
+    for name, value in weights._asdict().items():
+        if value is None or f"transition.{name}" not in drawn:
+            found.append(None if value is None else value.detach().double().numpy()[None])
         else:
-            found[name] = getattr(transition, name).detach().double().numpy()[None]
-    return found.get("influence"), found.get("responsiveness")
+            found.append(drawn[f"transition.{name}"].to_numpy().astype(np.float64))
+    return found[0], found[1]
 
 
 def label_weights(sent: Array | None, received: Array | None, names: Sequence[str]) -> xr.Dataset:

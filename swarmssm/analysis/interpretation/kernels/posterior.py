@@ -31,6 +31,13 @@ from swarmssm.inference import Fit
 from swarmssm.inference.guides import PathGuide
 from swarmssm.inference.prediction import seeded
 from swarmssm.models import StateSpaceModel
+from swarmssm.models.transitions import (
+    AngularModulation,
+    NamedForces,
+    PairKernel,
+    PairKernels,
+    WeightedPairs,
+)
 from swarmssm.tracks import Array
 
 __all__ = ["interaction_kernels"]
@@ -133,12 +140,18 @@ def interaction_kernels(
         last = pairs.quantile(BELIEVED[1])
         distances = np.linspace(max(pairs.quantile(0.001), last / DISTANCES), last, DISTANCES)
     distances = _checked(distances)
-    has_kernels = hasattr(getattr(fit.model, "transition", None), "kernels") and not projected
+    model = fit.model
+    source = model.transition if isinstance(model, StateSpaceModel) and not projected else None
+    kinds: dict[str, PairKernel] = {}
     extra: dict[str, Any] = {}
-    if has_kernels:
-        drawn, angular = _own_kernels(fit, paths, distances, draws, seed)
-        modulation = {"units": "1", "long_name": "factor by the angle to the neighbour"}
-        extra["modulation"] = (("quantile", "angle"), quantiles(angular), modulation)
+    coords: dict[str, Any] = {}
+    if isinstance(source, PairKernels):
+        kinds = dict(source.kernel_kinds)
+        drawn, angular = _own_kernels(fit, source, paths, distances, draws, seed)
+        if angular is not None:
+            modulation = {"units": "1", "long_name": "factor by the angle to the neighbour"}
+            extra["modulation"] = (("quantile", "angle"), quantiles(angular), modulation)
+            coords["angle"] = ("angle", np.linspace(-np.pi, np.pi, ANGLES), {"units": "rad"})
     else:
         knots = (pairs.quantile(0.001), pairs.quantile(0.995))
         found = project(fit, motion, paths, knots, distances, draws, seed)
@@ -147,19 +160,17 @@ def interaction_kernels(
         added = {"units": "1", "long_name": "R^2 that neighbours add on left-out blocks"}
         extra["projection_r2"] = ("draw", found.projection_r2, whole)
         extra["neighbor_r2"] = ("draw", found.neighbor_r2, added)
-    sums = fit.model.transition.kernel_sums if has_kernels else {}
+        kinds = {"attraction": PairKernel("offset"), "alignment": PairKernel("velocity")}
     number = pairs.neighbors[np.arange(draws) % paths.draws][:, None]
     drawn["net"] = np.zeros((draws, len(distances)))
-    for name in ("attraction", "repulsion"):
-        if name in drawn:
-            drawn["net"] += drawn[name] * (number if sums.get(name) == "sum" else 1.0)
+    for name, kind in kinds.items():
+        if kind.along == "offset":
+            drawn["net"] += drawn[name] * (number if kind.over == "sum" else 1.0)
     unit = unit_of(paths.tracks)
-    rate = dict.fromkeys(("attraction", "repulsion", "net"), f"{unit}/s^2")
-    rate["alignment"] = "1/s"
-    titles = {
-        name: f"{name}, {sums.get(name, 'mean')} over neighbours"
-        for name in ("attraction", "repulsion", "alignment")
-    }
+    rate = {
+        name: f"{unit}/s^2" if kind.along == "offset" else "1/s" for name, kind in kinds.items()
+    } | {"net": f"{unit}/s^2"}
+    titles = {name: f"{name}, {kind.over} over neighbours" for name, kind in kinds.items()}
     titles["net"] = "net force of neighbours at this distance"
     data: dict[str, Any] = dict(extra)
     for name, values in drawn.items():
@@ -176,18 +187,17 @@ def interaction_kernels(
     density = data["density"][1]
     believed = (distances >= low) & (distances <= high) & (density > BELIEVED_FROM * density.max())
     data |= _ranges(drawn, distances, believed, unit)
-    coords = {
+    coords |= {
         "quantile": list(QUANTILES),
         "draw": np.arange(draws),
         "distance": ("distance", distances, {"units": unit, "long_name": "distance"}),
     }
-    if has_kernels:
-        coords["angle"] = ("angle", np.linspace(-np.pi, np.pi, ANGLES), {"units": "rad"})
     about: dict[str, Any] = {
-        "source": "model" if has_kernels else "projection",
+        "source": "model" if isinstance(source, PairKernels) else "projection",
         "model": fit.settings.model,
         "unit": unit,
-        **{f"{name}_over_neighbors": sums.get(name, "mean") for name in drawn if name != "net"},
+        **{f"{name}_over_neighbors": kind.over for name, kind in kinds.items()},
+        **{f"{name}_along": kind.along for name, kind in kinds.items()},
         "believed_from": low,
         "believed_to": high,
     }
@@ -204,12 +214,14 @@ def _checked(distances: Any) -> Array:
 
 
 def _own_kernels(
-    fit: Fit, paths: PosteriorPaths, distances: Array, draws: int, seed: int | torch.Generator
-) -> tuple[dict[str, Array], Array]:
+    fit: Fit,
+    transition: PairKernels,
+    paths: PosteriorPaths,
+    distances: Array,
+    draws: int,
+    seed: int | torch.Generator,
+) -> tuple[dict[str, Array], Array | None]:
     """Return draws ``(draw, distance)`` of the transition's own kernels, and of modulation."""
-    model = fit.model
-    if not isinstance(model, StateSpaceModel):
-        raise InputError("model: only a StateSpaceModel has kernels of its own.")
     scaler = fit.preparation.scaler
     space = len(scaler.scale) // 2
     length, speed = scaler.scale[0], scaler.scale[space]
@@ -219,12 +231,11 @@ def _own_kernels(
             "scaler: it stretches the axes differently, so that no kernel depends on distance "
             "alone. Fit with the scaler isotropic or none."
         )
-    transition: Any = model.transition
-    per = 1.0 / fit.scales.dt if getattr(transition, "form", "") == "velocity" else 1.0
-    dtype = next(
-        (t.dtype for t in (*model.parameters(), *model.buffers()) if t.is_floating_point()),
-        torch.get_default_dtype(),
-    )
+    kinds = transition.kernel_kinds
+    is_velocity = isinstance(transition, NamedForces) and transition.form == "velocity"
+    per = 1.0 / fit.scales.dt if is_velocity else 1.0
+    tensors = (*fit.model.parameters(), *fit.model.buffers())
+    dtype = next((t.dtype for t in tensors if t.is_floating_point()), torch.get_default_dtype())
     at = torch.as_tensor(distances / length, dtype=dtype)
     angle = torch.linspace(-torch.pi, torch.pi, ANGLES, dtype=dtype)
     kernels: dict[str, list[Array]] = {}
@@ -234,14 +245,13 @@ def _own_kernels(
             with fit.given(values):
                 weight = _average_weight(transition, paths.states.shape[-2])
                 for name, value in transition.kernels(at).items():
-                    factor = per if name == "alignment" else per * speed
+                    factor = per * speed if kinds[name].along == "offset" else per
                     mean = value.double().reshape(-1, len(at)).mean(0)
                     kernels.setdefault(name, []).append(factor * weight * mean.numpy())
-                angular.append(transition.angular(angle).double().expand(ANGLES).numpy())
+                if isinstance(transition, AngularModulation):
+                    angular.append(transition.angular(angle).double().expand(ANGLES).numpy())
     stacked = {name: np.stack(values) for name, values in kernels.items()}
-    if "attraction" not in stacked:
-        stacked["attraction"] = np.zeros((draws, len(distances)))
-    return stacked, np.stack(angular)
+    return stacked, np.stack(angular) if angular else None
 
 
 def _parameters(
@@ -255,17 +265,16 @@ def _parameters(
     return [{name: value[draw] for name, value in drawn.items()} for draw in range(draws)]
 
 
-def _average_weight(transition: Any, individuals: int) -> float:
+def _average_weight(transition: PairKernels, individuals: int) -> float:
     """Return the mean over pairs of the weights of receiver and sender."""
-    pairs = torch.ones(individuals, individuals, dtype=torch.float64)
-    influence = getattr(transition, "influence", None)
-    if isinstance(influence, torch.Tensor):
-        pairs = pairs * influence.double()
-    responsiveness = getattr(transition, "responsiveness", None)
-    if isinstance(responsiveness, torch.Tensor):
-        pairs = pairs * responsiveness.double().unsqueeze(-1)
-    if individuals < 2:
+    if individuals < 2 or not isinstance(transition, WeightedPairs):
         return 1.0
+    influence, responsiveness = transition.pair_weights()
+    pairs = torch.ones(individuals, individuals, dtype=torch.float64)
+    if influence is not None:
+        pairs = pairs * influence.double()
+    if responsiveness is not None:
+        pairs = pairs * responsiveness.double().unsqueeze(-1)
     off = ~torch.eye(individuals, dtype=torch.bool)
     return float(pairs[off].mean())
 

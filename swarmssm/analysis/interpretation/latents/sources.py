@@ -18,6 +18,7 @@ from swarmssm.inference.guides import PathGuide
 from swarmssm.inference.prediction import StateSpacePredictor, seeded
 from swarmssm.inference.run_folder import Builders, build_modules
 from swarmssm.models import StateSpaceModel
+from swarmssm.models.transitions import NamedFeatures, NamedParts
 from swarmssm.tracks import SPACE_NAMES, Array, states_of, stepwise_velocity, with_trials
 
 __all__ = ["View", "forces_on", "latents_of", "untrained"]
@@ -200,10 +201,9 @@ class View:
         else:
             names = [f"state {place + 1}" for place in range(model.state_dim)]
             parts = [(path.masked_fill(gone, torch.nan).numpy(), names, "state")]
-        transition = model.transition
         adjacency = law_graph(fit, self.prepared)
-        if kinematic and len(getattr(transition, "terms", [])):
-            motion = acceleration_model(fit)
+        motion = acceleration_model(fit) if kinematic else None
+        if motion is not None and motion.terms:
             still = torch.from_numpy(np.nan_to_num(self.states))
             with torch.no_grad():
                 found = motion.forces(still, adjacency.to(torch.float64), present)
@@ -227,15 +227,13 @@ class View:
         found = []
         with self.fit.given(values), torch.no_grad(), pyro.validation_enabled(False):
             given = model.edges.complete(scaled, given)
-            if hasattr(transition, "parts"):
+            if isinstance(transition, NamedParts):
                 parts = transition.parts(scaled, given).transpose(-3, -2).flatten(-2)
                 names = [f"{part} {axis}" for part in transition.part_names for axis in axes]
                 found.append((parts, names, "part"))
-            if hasattr(transition, "features"):
+            if isinstance(transition, NamedFeatures):
                 told = transition.features(scaled, given)
-                names = [f"feature {place + 1}" for place in range(told.shape[-1])]
-                if hasattr(transition, "feature_names"):
-                    names = [str(name) for name in transition.feature_names]
+                names = [str(name) for name in transition.feature_names]
                 found.append((told, names, "message"))
         for told, names, _ in found:
             if len(names) != told.shape[-1]:
