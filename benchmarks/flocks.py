@@ -129,7 +129,7 @@ def design(position: torch.Tensor, velocity: torch.Tensor) -> torch.Tensor:
     terms = [
         forces.cohesion(position, graph),
         forces.separation(position, graph),
-        forces.alignment(velocity, graph, relative=True),
+        forces.alignment(velocity, graph),
         forces.speed_regulation(velocity, SPEED),
     ]
     return torch.stack(terms, -1)

@@ -115,8 +115,8 @@ def _push(squared: Tensor, both: Tensor, power: float | Tensor, softening: float
     return torch.where(apart, softened ** (-0.5 * (power + 1.0)), 0.0)
 
 
-def alignment(velocities: Tensor, adjacency: Graph, *, relative: bool = False) -> Tensor:
-    """Mean velocity of the neighbours (3.18), or how it differs from one's own.
+def alignment(velocities: Tensor, adjacency: Graph, *, relative: bool = True) -> Tensor:
+    """Mean velocity of the neighbours minus one's own, or that mean itself (3.18).
 
     Parameters
     ----------
@@ -125,8 +125,8 @@ def alignment(velocities: Tensor, adjacency: Graph, *, relative: bool = False) -
     adjacency
         Shape ``(..., individual, individual)``, or edges.
     relative
-        False: ``mean_j v_j``, as (3.18), which a velocity rule needs. True: ``mean_j v_j - v_i``,
-        which an acceleration rule needs.
+        True: ``mean_j v_j - v_i``, which an acceleration rule needs. False: ``mean_j v_j``, as
+        (3.18), which a velocity rule needs.
 
     Returns
     -------

@@ -50,8 +50,11 @@ def test_softening_bounds_the_push():
 
 
 def test_alignment_is_the_mean_velocity_or_the_difference_from_it():
-    close(forces.alignment(VELOCITIES, ADJACENCY), [[1.0, 2.0], [1.0, 0.0], [0.0, 0.0]])
-    relative = forces.alignment(VELOCITIES, ADJACENCY, relative=True)
+    close(
+        forces.alignment(VELOCITIES, ADJACENCY, relative=False),
+        [[1.0, 2.0], [1.0, 0.0], [0.0, 0.0]],
+    )
+    relative = forces.alignment(VELOCITIES, ADJACENCY)
     close(relative, [[0.0, 2.0], [1.0, -2.0], [0.0, 0.0]])
 
 
@@ -97,10 +100,12 @@ def test_an_absent_individual_is_left_out_and_gets_nothing():
     complete = 1 - torch.eye(3)
     close(forces.cohesion(positions, complete), [[1.0, 0.0], [0.0, 0.0], [-1.0, 0.0]])
     close(forces.separation(positions, complete), [[-1.0, 0.0], [0.0, 0.0], [1.0, 0.0]])
-    aligned = forces.alignment(velocities, complete, relative=True)
+    aligned = forces.alignment(velocities, complete)
     close(aligned, [[1.0, 2.0], [0.0, 0.0], [-1.0, -2.0]])
     # A velocity rule needs the neighbours' velocities alone.
-    close(forces.alignment(velocities, complete), [[2.0, 2.0], [1.5, 1.0], [1.0, 0.0]])
+    close(
+        forces.alignment(velocities, complete, relative=False), [[2.0, 2.0], [1.5, 1.0], [1.0, 0.0]]
+    )
     close(forces.wall(positions, 0.5), [[0.0, 0.0], [0.0, 0.0], [-0.5, 0.0]])
     regulated = forces.speed_regulation(velocities, 2.0)
     close(regulated[:2], [[1.0, 0.0], [0.0, 0.0]])
@@ -113,7 +118,7 @@ def terms(positions, velocities, adjacency):
             forces.cohesion(positions, adjacency),
             forces.separation(positions, adjacency, 1.5),
             forces.alignment(velocities, adjacency, relative=True),
-            forces.alignment(velocities, adjacency),
+            forces.alignment(velocities, adjacency, relative=False),
             forces.wall(positions, 0.3),
             forces.speed_regulation(velocities, 0.7),
         ]

@@ -48,7 +48,7 @@ def social_terms(states: Array, rule: GraphRule | None, exponent: float = 1.0) -
         terms = [
             forces.cohesion(positions, graph),
             forces.separation(positions, graph, exponent),
-            forces.alignment(velocities, graph, relative=True),
+            forces.alignment(velocities, graph),
         ]
         found[start : start + portion] = torch.cat(terms, dim=-1).numpy()
     return found.reshape(*states.shape[:-1], -1)

@@ -1,12 +1,15 @@
 """Typical sizes in tracks, from which models take their units and default priors."""
 
+import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import pyro.distributions as dist
 import torch
 import xarray as xr
+from pyro.nn import PyroSample
 
 from swarmssm.errors import InputError
 from swarmssm.graphs import GraphRule
@@ -17,6 +20,8 @@ __all__ = ["Scales", "scales_of"]
 
 #: A tracking noise of less than this part of a mean step cannot be told from none.
 LEAST_NOISE = 1e-4
+#: The least that a unit may be, where tracks stand still.
+LEAST_UNIT = 1e-6
 #: Distances that are measured at most.
 MOST_PAIRS = 20_000_000
 
@@ -71,6 +76,29 @@ class Scales:
     def state_dim(self) -> int:
         """Number of features of a physical state: positions and velocities."""
         return 2 * self.space
+
+    def prior(
+        self, *, length: float = 0.0, time: float = 0.0, factor: float = 1.0, spread: float = 1.5
+    ) -> PyroSample:
+        r"""Return a log-normal prior of a positive parameter in the unit of the tracks.
+
+        Its median is :math:`c\, L^a T^b`, with L the standard deviation of positions and
+        :math:`T = L / U` the time that an individual of typical speed U takes for it.
+
+        Parameters
+        ----------
+        length, time
+            a and b: the dimension of the parameter. A force by distance has ``time=-2``, a rate
+            ``time=-1``, process noise ``length=1, time=-1.5``.
+        factor
+            c.
+        spread
+            Standard deviation of the logarithm; 1.5 is a factor of 20 to both sides with 95 %.
+        """
+        unit = max(self.length, LEAST_UNIT)
+        period = unit / max(self.speed, LEAST_UNIT)
+        median = math.log(factor) + length * math.log(unit) + time * math.log(period)
+        return PyroSample(dist.LogNormal(torch.tensor(median), torch.tensor(spread)))
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""

@@ -7,11 +7,13 @@ from typing import Any
 
 import pyro
 import torch
+import xarray as xr
 
 from swarmssm.errors import InputError
-from swarmssm.graphs import EdgeList, Graph
+from swarmssm.graphs import EdgeList, Graph, dense
 from swarmssm.models.batch import SwarmBatch
 from swarmssm.models.markov import StepInputs
+from swarmssm.tracks import make_tracks
 
 __all__ = [
     "Simulation",
@@ -69,6 +71,37 @@ class Simulation:
             self.present,
             graph,
             self.controls,
+        )
+
+    def to_tracks(self, dt: float, *, with_graph: bool = True) -> xr.Dataset:
+        """Return the observations as tracks, one trial for each swarm.
+
+        Parameters
+        ----------
+        dt
+            Seconds from one frame to the next.
+        with_graph
+            Whether the tracks hold the graph, as adjacency.
+
+        Raises
+        ------
+        InputError
+            If observations are neither positions nor positions and velocities.
+        """
+        space = self.states.shape[-1] // 2
+        seen = self.observations.masked_fill(~self.present.unsqueeze(-1), torch.nan).numpy()
+        if seen.shape[-1] not in (space, 2 * space):
+            raise InputError(
+                f"model: it observes {seen.shape[-1]} features of each individual, which are "
+                "neither positions nor positions and velocities: no tracks."
+            )
+        graph = self.adjacency if with_graph else None
+        return make_tracks(
+            seen[..., :space],
+            velocity=seen[..., space:] if seen.shape[-1] > space else None,
+            adjacency=None if graph is None else dense(graph).numpy(),
+            fps=1.0 / dt,
+            source_software="swarmssm",
         )
 
     def batch(self) -> SwarmBatch:

@@ -15,7 +15,8 @@ DOCS = Path(__file__).resolve().parents[2] / "docs"
 #: How-to -> lines of a user's own code that it may take, blank ones not counted.
 LINES = {
     "another-prior": 5,
-    "another-transition": 15,
+    "another-force": 10,
+    "another-transition": 21,
     "another-guide": 20,
     "comparing-methods": 12,
 }
@@ -42,13 +43,8 @@ LESS = {
         "--guide linearized": f"--guide linearized {SHORT}",
         "--model boids": f"--model boids {SHORT}",
     },
-    "another-transition": {
-        "steps=120": "steps=30",
-        "--steps 120": "--steps 30",
-        "epochs=20": "epochs=2",
-        '("linearized", "markov")': '("markov",)',
-        "--epochs 20": SHORT,
-    },
+    "another-force": {"epochs=30": "epochs=2", "--epochs 30": SHORT},
+    "another-transition": {"epochs=40": "epochs=2", "--epochs 40": SHORT},
     "another-guide": {"steps=120": "steps=60", "--steps 120": "--steps 60"},
     "what-do-my-latents-mean": {
         "--steps 100": "--steps 60",

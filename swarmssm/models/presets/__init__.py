@@ -6,5 +6,15 @@ from swarmssm.models.presets.graph import graph_ssm
 from swarmssm.models.presets.kernel import kernel
 from swarmssm.models.presets.linear import linear
 from swarmssm.models.presets.pair_forces import pair_forces
+from swarmssm.models.presets.self_terms import state_space_model
 
-__all__ = ["EDGES", "boids", "graph_ssm", "kernel", "linear", "pair_forces", "with_edges"]
+__all__ = [
+    "EDGES",
+    "boids",
+    "graph_ssm",
+    "kernel",
+    "linear",
+    "pair_forces",
+    "state_space_model",
+    "with_edges",
+]

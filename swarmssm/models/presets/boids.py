@@ -12,9 +12,9 @@ from swarmssm.models.presets.self_terms import (
     Observed,
     check_choice,
     lognormal,
-    own_priors,
     positive,
-    seen_model,
+    self_term_priors,
+    state_space_model,
     true_speed,
     view_priors,
 )
@@ -145,7 +145,7 @@ def boids(
         separation_gain=social(per * speed * length if form == "velocity" else speed**2),
         alignment_gain=social(per) if form == "acceleration" else social(1.0, 0.5),
         **view,
-        **own_priors(
+        **self_term_priors(
             scales,
             form=form,
             noise=noise,
@@ -155,7 +155,7 @@ def boids(
             observed=observed,
         ),
     )
-    return seen_model(
+    return state_space_model(
         scales,
         transition,
         observed=observed,

@@ -12,9 +12,9 @@ from swarmssm.errors import InputError
 from swarmssm.models.presets.self_terms import (
     Observed,
     check_choice,
-    own_priors,
     positive,
-    seen_model,
+    self_term_priors,
+    state_space_model,
     true_speed,
     view_priors,
 )
@@ -139,7 +139,7 @@ def kernel(
         noise=noise,
         **options,
         **view,
-        **own_priors(
+        **self_term_priors(
             scales,
             form="acceleration",
             noise=noise,
@@ -149,7 +149,7 @@ def kernel(
             observed=observed,
         ),
     )
-    return seen_model(
+    return state_space_model(
         scales,
         transition,
         observed=observed,

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from swarmssm.models.presets.self_terms import Observed, own_priors, seen_model
+from swarmssm.models.presets.self_terms import Observed, self_term_priors, state_space_model
 from swarmssm.models.scales import Scales
 from swarmssm.models.state_space import StateSpaceModel
 from swarmssm.models.transitions.force import Noise
@@ -51,7 +51,7 @@ def pair_forces(
         kinds=kinds,
         form=form,
         noise=noise,
-        **own_priors(
+        **self_term_priors(
             scales,
             form=form,
             noise=noise,
@@ -61,6 +61,4 @@ def pair_forces(
             observed=observed,
         ),
     )
-    return seen_model(
-        scales, transition, observed=observed, edges=edges, infer_radius=False, priors=priors
-    )
+    return state_space_model(scales, transition, observed=observed, edges=edges, priors=priors)

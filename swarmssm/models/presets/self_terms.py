@@ -29,10 +29,10 @@ __all__ = [
     "Observed",
     "check_choice",
     "lognormal",
-    "own_priors",
     "positive",
     "replace_priors",
-    "seen_model",
+    "self_term_priors",
+    "state_space_model",
     "true_speed",
     "view_priors",
 ]
@@ -51,7 +51,7 @@ def check_choice(name: str, value: Any, allowed: tuple[Any, ...]) -> None:
         raise InputError(f"{name}: it must be one of {listed}, not {value!r}.")
 
 
-def own_priors(
+def self_term_priors(
     scales: Scales,
     *,
     form: Form,
@@ -109,23 +109,23 @@ def view_priors(scales: Scales, radius: float | Literal["infer"] | None) -> dict
     return {"radius": radius, "radius_width": 0.0}
 
 
-def seen_model(
+def state_space_model(
     scales: Scales,
     transition: Transition,
     *,
-    observed: Observed,
-    edges: str | None,
-    infer_radius: bool,
-    priors: Mapping[str, Any] | None,
+    observed: Observed = "positions",
+    edges: str | None = None,
+    infer_radius: bool = False,
+    priors: Mapping[str, Any] | None = None,
 ) -> StateSpaceModel:
-    """Return the model of a transition, seen by noisy positions or exactly.
+    """Return the model of a transition, with its states observed with noise or exactly.
 
     Parameters
     ----------
     scales
         Of the training tracks.
     transition
-        The law of motion.
+        How the swarm goes from one frame to the next.
     observed, edges, priors
         As in :func:`swarmssm.models.presets.boids`.
     infer_radius

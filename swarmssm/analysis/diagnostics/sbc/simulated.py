@@ -16,7 +16,7 @@ from swarmssm.errors import InputError, WorkError
 from swarmssm.inference.guides.registry import default_guide
 from swarmssm.models import ObservedEdges, Scales, StateSpaceModel, find_model, with_priors
 from swarmssm.models.parameters import priors_of
-from swarmssm.tracks import MAX_COORDINATE, Array, make_tracks
+from swarmssm.tracks import MAX_COORDINATE, Array
 
 __all__ = ["FixedModel", "SimulatedData", "standard_scales"]
 
@@ -193,24 +193,9 @@ class SimulatedData:
         )
         scales = self.model.scales
         seen: Array = drawn.observations.numpy()
-        if seen.shape[-1] not in (scales.space, 2 * scales.space):
-            raise InputError(
-                f"model: {self.model.name} observes {seen.shape[-1]} features of each individual, "
-                "which are neither positions nor positions and velocities: no tracks."
-            )
         if not (np.abs(seen) <= MAX_COORDINATE).all():
             raise WorkError("The group flew apart.")
-        adjacency = None
-        if observed and drawn.adjacency is not None:
-            graph = drawn.adjacency
-            adjacency = (graph if isinstance(graph, torch.Tensor) else graph.to_dense()).numpy()
-        tracks = make_tracks(
-            seen[..., : scales.space],
-            velocity=seen[..., scales.space :] if seen.shape[-1] > scales.space else None,
-            adjacency=adjacency,
-            fps=1.0 / scales.dt,
-            source_software="swarmssm",
-        )
+        tracks = drawn.to_tracks(scales.dt, with_graph=observed)
         return tracks, drawn.parameters, drawn.states
 
 

@@ -243,7 +243,7 @@ def _columns(fit: Fit, frames: Frames) -> torch.Tensor:
         boids_terms.cohesion(positions, graph),
         # Nearer than the tracking noise, nobody knows how near.
         boids_terms.separation(positions, graph, softening=fit.scales.noise),
-        boids_terms.alignment(frames.velocities, graph, relative=True),
+        boids_terms.alignment(frames.velocities, graph),
         *own_columns(fit, frames),
     ]
     stacked = torch.stack(columns, -1)

@@ -307,6 +307,6 @@ class View:
         terms = [
             forces.cohesion(positions, graph),
             forces.separation(positions, graph),
-            forces.alignment(velocities, graph, relative=True),
+            forces.alignment(velocities, graph),
         ]
         return torch.stack(terms, dim=-2).masked_fill(~known[..., None, None], torch.nan).numpy()
