@@ -38,7 +38,6 @@ from swarmssm.analysis.plots.influence import (
 from swarmssm.analysis.plots.kernels import plot_force_maps, plot_kernels, plot_modulation
 from swarmssm.analysis.plots.latent_paths import plot_latent_paths
 from swarmssm.analysis.plots.latents import (
-    plot_effort,
     plot_latents,
     plot_rotated_axes,
     plot_sources,
@@ -65,7 +64,6 @@ __all__ = [
     "plot_ecdf_difference",
     "plot_edge_accuracy",
     "plot_edge_probabilities",
-    "plot_effort",
     "plot_force_arrows",
     "plot_force_magnitudes",
     "plot_force_maps",

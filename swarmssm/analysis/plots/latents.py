@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from swarmssm.analysis.plots.style import legend_below, new_axes, paint_ground
 
-__all__ = ["plot_effort", "plot_latents", "plot_rotated_axes", "plot_sources"]
+__all__ = ["plot_latents", "plot_rotated_axes", "plot_sources"]
 
 #: A cell is marked if chance gives as much somewhere in the table no more often than this.
 LEVEL = 0.05
@@ -138,52 +138,6 @@ def plot_rotated_axes(
     values = alignment["axis_r2"].sel(group=group).to_numpy()
     _heat(figure, ax, values, [f"axis of {name}" for name in names], names)
     ax.set_title(f"rotated {group}", fontsize=10)
-    return figure, ax
-
-
-def plot_effort(
-    alignment: xr.Dataset, ax: Axes | None = None, *, over: str = "frames"
-) -> tuple[Figure, Axes]:
-    """Draw how much a linear probe tells with little: few frames, or few principal components.
-
-    Parameters
-    ----------
-    alignment
-        What :func:`swarmssm.analysis.latent_force_alignment` returned.
-    ax
-        Where to draw; new axes if absent.
-    over
-        ``"frames"`` or ``"components"``.
-
-    Returns
-    -------
-    Figure and axes: a line a force, dashed for the untrained model. What is below -0.1 is drawn
-    there.
-    """
-    figure, ax = new_axes(ax)
-    name = {"frames": "frame_r2", "components": "component_r2"}[over]
-    for place, term in enumerate(alignment["term"].values):
-        for training, style in (("trained", "-"), ("untrained", "--")):
-            r2 = alignment[name].sel(training=training, term=term).to_numpy()
-            if np.isfinite(r2).any():
-                ax.plot(
-                    alignment[over],
-                    np.clip(r2, -0.1, None),
-                    style,
-                    color=COLOURS[place % len(COLOURS)],
-                    marker=".",
-                    label=str(term) if training == "trained" else None,
-                )
-    if np.isfinite(alignment[name].sel(training="untrained")).any():
-        ax.plot([], [], "--", color=UNTRAINED, label="before training")
-    ax.set_xscale("log")
-    ticks = alignment[over].to_numpy()
-    ax.set_xticks(ticks, [str(tick) for tick in ticks])
-    ax.set_xticks([], minor=True)
-    ax.set_ylim(-0.13, 1.03)
-    ax.set_xlabel({"frames": "frames to learn from", "components": "principal components"}[over])
-    ax.set_ylabel("cross-validated R² of the force")
-    legend_below(ax)
     return figure, ax
 
 

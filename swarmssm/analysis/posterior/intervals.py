@@ -4,7 +4,7 @@ import numpy as np
 
 from swarmssm.tracks import Array
 
-__all__ = ["QUANTILES", "quantiles"]
+__all__ = ["QUANTILES", "known_mean", "quantiles"]
 
 #: Ends and middle of the intervals.
 QUANTILES = (0.05, 0.5, 0.95)
@@ -37,3 +37,12 @@ def quantiles(values: Array) -> Array:
         out[row] = low + (high - low) * (place - below)
     out[:, number == 0] = np.nan
     return out
+
+
+def known_mean(values: Array, axes: int | tuple[int, ...]) -> Array:
+    """Return the mean over some dimensions of what is finite, NaN where nothing is."""
+    known = np.isfinite(values)
+    total = np.where(known, values, 0.0).sum(axes, dtype=np.float64)
+    count = known.sum(axes)
+    mean: Array = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
+    return mean

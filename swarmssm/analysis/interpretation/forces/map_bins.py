@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
+from swarmssm.analysis.posterior.intervals import known_mean
 from swarmssm.tracks import Array
 
 __all__ = ["BINS", "MAPS", "Portion", "Sums", "binned", "labelled"]
@@ -86,7 +87,7 @@ def labelled(
     means = np.divide(
         total.sum(1), number, out=np.full(total.sum(1).shape, np.nan), where=number > 0
     )
-    mean = _nanmean(means)
+    mean = known_mean(means, 0)
     # Blocks are the same in all draws: their scatter is told from the mean over these.
     pairs, summed = count.mean(0)[:, None], total.mean(0)
     blocks = (pairs[:, 0] > 0).sum(0)
@@ -94,7 +95,7 @@ def labelled(
     scatter = np.square(rest).sum(0) / np.square(np.where(blocks > 0, pairs.sum(0), 1.0))
     variance = scatter * blocks / np.maximum(blocks - 1, 1)
     if len(sums) > 1:
-        variance = variance + _nanmean(np.square(means - mean)) * len(sums) / (len(sums) - 1)
+        variance = variance + known_mean(np.square(means - mean), 0) * len(sums) / (len(sums) - 1)
     error = np.where(blocks > 1, np.sqrt(variance), np.nan)
     edges = np.linspace(-extent, extent, bins + 1)
     middles = 0.5 * (edges[1:] + edges[:-1])
@@ -128,12 +129,3 @@ def labelled(
         "neighbors": neighbors,
     }
     return xr.Dataset(data, coords, about)
-
-
-def _nanmean(values: Array) -> Array:
-    """Return the mean over the first dimension of what is known, NaN where nothing is."""
-    known = np.isfinite(values)
-    number = known.sum(0)
-    total = np.where(known, values, 0.0).sum(0)
-    mean: Array = np.divide(total, number, out=np.full(total.shape, np.nan), where=number > 0)
-    return mean

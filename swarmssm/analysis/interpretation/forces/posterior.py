@@ -32,7 +32,7 @@ from swarmssm.analysis.posterior.accelerations import (
     acceleration_model,
     posterior_paths,
 )
-from swarmssm.analysis.posterior.intervals import QUANTILES, quantiles
+from swarmssm.analysis.posterior.intervals import QUANTILES, known_mean, quantiles
 from swarmssm.inference import Fit
 from swarmssm.tracks import Array
 
@@ -290,9 +290,9 @@ def force_summary(forces: xr.Dataset) -> xr.Dataset:
     force = forces["force"].transpose("draw", *FORCE_DIMS).to_numpy()
     velocity = forces["velocity"].transpose("draw", *FORCE_DIMS[:-1]).to_numpy()
     length = np.linalg.norm(force, axis=-2)
-    over_group = _mean(length, (3,))
-    over_time = _mean(length, (1, 2))
-    overall = _mean(length, (1, 2, 3))
+    over_group = known_mean(length, (3,))
+    over_time = known_mean(length, (1, 2))
+    overall = known_mean(length, (1, 2, 3))
     total = overall.sum(-1, keepdims=True)
     share = np.divide(overall, total, out=np.full_like(overall, np.nan), where=total > 0)
     unit = forces["force"].attrs["units"]
@@ -303,7 +303,7 @@ def force_summary(forces: xr.Dataset) -> xr.Dataset:
 
     data = {
         "magnitude": (at, quantiles(length), size("magnitude of the force")),
-        "mean_force": (FORCE_DIMS, _mean(force, (0,)), size("posterior mean of the force")),
+        "mean_force": (FORCE_DIMS, known_mean(force, (0,)), size("posterior mean of the force")),
         "group_magnitude": (
             ("quantile", "trial", "time", "term"),
             quantiles(over_group),
@@ -357,19 +357,10 @@ def _angles(force: Array, velocity: Array) -> dict[str, tuple[Array, str]]:
 
 def _circular_quantiles(angle: Array) -> Array:
     """Return quantiles over the first dimension, of deviations from the mean direction."""
-    middle = np.arctan2(_mean(np.sin(angle), (0,)), _mean(np.cos(angle), (0,)))
+    middle = np.arctan2(known_mean(np.sin(angle), (0,)), known_mean(np.cos(angle), (0,)))
     found = middle + quantiles(_wrapped(angle - middle))
     return np.asarray(found + (_wrapped(found[1]) - found[1]))
 
 
 def _wrapped(angle: Array) -> Array:
     return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
-
-
-def _mean(values: Array, axes: tuple[int, ...]) -> Array:
-    """Return the mean over what is known, NaN where nothing is."""
-    known = np.isfinite(values)
-    total = np.where(known, values, 0.0).sum(axes, dtype=np.float64)
-    count = known.sum(axes)
-    mean: Array = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
-    return mean

@@ -20,6 +20,7 @@ import numpy as np
 import xarray as xr
 
 from swarmssm.analysis.interpretation.forces.frames import QUANTILES, labels_of
+from swarmssm.analysis.posterior.intervals import known_mean
 from swarmssm.errors import InputError
 from swarmssm.tracks import Array, states_of, validate_tracks, with_trials
 
@@ -136,7 +137,9 @@ def leadership_delays(
         spread = _known_quantiles(np.array(drawn_delays))
         leads = _known_quantiles(np.array(drawn_leads))
         signs = np.sign(np.array(drawn_delays))
-        follows = np.where(np.isnan(signs).mean(0) > 0.5, np.nan, _mean_known(0.5 * (1.0 + signs)))
+        follows = np.where(
+            np.isnan(signs).mean(0) > 0.5, np.nan, known_mean(0.5 * (1.0 + signs), 0)
+        )
     data["delay_interval"] = (("quantile", *pairs), spread)
     data["lead_interval"] = (("quantile", "individual"), leads)
     data["follows_probability"] = (pairs, follows)
@@ -268,17 +271,7 @@ def _delays(products: Array, counts: Array, steps: Array, least: float) -> _Dela
     outside = (first == 0) | (last == len(steps) - 1) | (agreement < least) | itself
     delay = np.where(outside, np.nan, delay)
     agreement = np.where(np.isfinite(agreement) & ~itself, agreement, np.nan)
-    return _Delays(correlation, delay, agreement, _mean_known(delay))
-
-
-def _mean_known(values: Array) -> Array:
-    """Return the mean over the first axis of what is known, NaN where nothing is."""
-    known = np.isfinite(values)
-    number = known.sum(0)
-    total = np.where(known, values, 0.0).sum(0)
-    mean: Array = np.full(total.shape, np.nan)
-    np.divide(total, number, out=mean, where=number > 0)
-    return mean
+    return _Delays(correlation, delay, agreement, known_mean(delay, 0))
 
 
 def _known_quantiles(values: Array) -> Array:

@@ -33,7 +33,6 @@ from swarmssm.analysis.interpretation.influence.jacobians import (
 from swarmssm.analysis.interpretation.influence.ranks import rank_probabilities
 from swarmssm.analysis.interpretation.influence.weights import (
     label_weights,
-    mean_over,
     pair_weights,
 )
 from swarmssm.analysis.posterior.accelerations import (
@@ -42,6 +41,7 @@ from swarmssm.analysis.posterior.accelerations import (
     acceleration_model,
     posterior_paths,
 )
+from swarmssm.analysis.posterior.intervals import known_mean
 from swarmssm.errors import InputError
 from swarmssm.inference import Fit
 from swarmssm.tracks import Array
@@ -156,7 +156,7 @@ def influence(
     pairs = ("individual", "neighbor")
     each = labels_of(paths.tracks, "trial", "time", "individual")
     names = each["individual"]
-    outgoing, incoming = mean_over(found.mean, 1), mean_over(found.mean, 2)
+    outgoing, incoming = known_mean(found.mean, 1), known_mean(found.mean, 2)
     over_draws = ("draw", "individual")
     data: dict[str, Any] = {
         "influence": (("quantile", *pairs), _quantiles(found.mean)),

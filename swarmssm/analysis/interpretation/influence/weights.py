@@ -9,13 +9,14 @@ import xarray as xr
 
 from swarmssm.analysis.interpretation.forces.frames import QUANTILES
 from swarmssm.analysis.interpretation.influence.ranks import rank_probabilities
+from swarmssm.analysis.posterior.intervals import known_mean
 from swarmssm.inference import Fit
 from swarmssm.inference.guides import PathGuide
 from swarmssm.models import StateSpaceModel
 from swarmssm.models.transitions import WeightedPairs
 from swarmssm.tracks import Array
 
-__all__ = ["WEIGHT_SAMPLES", "label_weights", "mean_over", "pair_weights"]
+__all__ = ["WEIGHT_SAMPLES", "label_weights", "pair_weights"]
 
 #: Draws of the weights of individuals, of which there are more than of paths: they cost little.
 WEIGHT_SAMPLES = 4000
@@ -92,7 +93,7 @@ def label_weights(sent: Array | None, received: Array | None, names: Sequence[st
     }
     over = ("sample", "individual")
     if sent is not None:
-        own = sent if sent.ndim == 2 else mean_over(np.where(others, sent, np.nan), 1)
+        own = sent if sent.ndim == 2 else known_mean(np.where(others, sent, np.nan), 1)
         own = own / own.mean(1, keepdims=True)
         data["weight"] = (over, own, {"units": "1", "long_name": "weight of individual for others"})
         data["weight_rank_probability"] = (
@@ -101,7 +102,7 @@ def label_weights(sent: Array | None, received: Array | None, names: Sequence[st
             {"units": "1", "long_name": "probability of the rank by weight"},
         )
     if received is not None or (sent is not None and sent.ndim == 3):
-        own = mean_over(pairs, 2) if received is None else received
+        own = known_mean(pairs, 2) if received is None else received
         own = own / own.mean(1, keepdims=True)
         data["responsiveness"] = (
             over,
@@ -111,13 +112,3 @@ def label_weights(sent: Array | None, received: Array | None, names: Sequence[st
     labels = [str(name) for name in names]
     ranks = np.arange(1, number + 1)
     return xr.Dataset(data, {"individual": labels, "neighbor": labels, "rank": ranks})
-
-
-def mean_over(values: Array, axis: int) -> Array:
-    """Return the mean over those that are known, NaN where none is."""
-    known = np.isfinite(values)
-    number = known.sum(axis)
-    total = np.where(known, values, 0.0).sum(axis)
-    mean: Array = np.full(total.shape, np.nan)
-    np.divide(total, number, out=mean, where=number > 0)
-    return mean

@@ -6,7 +6,6 @@ import xarray as xr
 
 from swarmssm.analysis.interpretation.latents.alignment import compare_latents
 from swarmssm.analysis.plots.latents import (
-    plot_effort,
     plot_latents,
     plot_rotated_axes,
     plot_sources,
@@ -72,12 +71,3 @@ def test_rotated_axes_are_the_components(alignment):
     _, ax = plot_rotated_axes(alignment)
     (image,) = ax.images
     np.testing.assert_allclose(image.get_array(), np.eye(4), atol=0.1)
-
-
-@pytest.mark.parametrize(("over", "name"), [("frames", "frame_r2"), ("components", "component_r2")])
-def test_effort_is_a_line_a_force(alignment, over, name):
-    _, ax = plot_effort(alignment, over=over)
-    lines = {line.get_label(): np.asarray(line.get_xydata(), float) for line in ax.lines}
-    expected = alignment[name].sel(training="trained", term="wall").to_numpy().clip(-0.1)
-    np.testing.assert_allclose(lines["wall"][:, 1], expected)
-    np.testing.assert_array_equal(lines["wall"][:, 0], alignment[over])
