@@ -111,7 +111,8 @@ def _of_forces(found: xr.Dataset) -> Iterator[Row]:
         share = _interval(found["share"].sel(term=term), 100.0)
         yield Row("forces", f"share of {term}", *share, "%", reference)
     shares = _interval(found["neighbor_share"], 100.0)
-    yield Row("forces", "share of neighbours", *shares, "%", "cohesion, separation and alignment")
+    names = [str(name) for name in found.attrs["neighbor_terms"]]
+    yield Row("forces", "share of neighbours", *shares, "%", ", ".join(names))
     if str(found.attrs["source"]) == "projection":
         yield Row(
             "forces",
@@ -176,7 +177,7 @@ def _of_maps(found: xr.Dataset) -> Iterator[Row]:
     for name in found["map"].to_numpy():
         one = found.sel(map=name)
         reliability = float(one["reliability"])
-        reference = ""
+        reference = "too few pairs in the bins"
         if math.isfinite(reliability):
             reference = (
                 f"slope {format_number(float(one['slope']), 2)}; {100 * reliability:.0f} % of the "

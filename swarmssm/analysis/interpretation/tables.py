@@ -13,7 +13,6 @@ from swarmssm.files import write_beside
 __all__ = ["drawn_pairs", "tables_of", "write_tables"]
 
 ENDS = {0.05: "low", 0.5: "median", 0.95: "high"}
-KERNELS = ("attraction", "repulsion", "alignment", "net")
 #: Pairs whose correlation over delays is drawn at most.
 PAIRS = 10
 Tables = dict[str, pd.DataFrame]
@@ -97,9 +96,7 @@ def _of_kernels(found: xr.Dataset) -> Tables:
     inside = found.sel(distance=slice(None, found.attrs["believed_to"]))
     density = pd.Series(_column(inside["density"]), _column(inside["distance"]))
     curves = []
-    for name in KERNELS:
-        if name not in found:
-            continue
+    for name in (str(own).removesuffix("_draws") for own in found if str(own).endswith("_draws")):
         curve = _ends(inside[name]).assign(kernel=name)
         if f"truth_{name}" in found:
             curve["truth"] = _column(inside[f"truth_{name}"])

@@ -1,106 +1,51 @@
 """The verdict of an analysis: what moves the animals, how sure that is, and whether it forecasts.
 
-A rule is believed on its forecasts. At each horizon the fit is compared with the best simple
-baseline there by the continuous ranked probability score (CRPS) of held-out positions, with the
-90 % interval of the paired difference. It passes if it is better beyond chance at one horizon or
-more, and worse at none.
+A rule is judged by its forecasts. At each horizon the fit is compared with the best simple baseline
+there by the continuous ranked probability score (CRPS) of held-out positions, with the 90 %
+interval of the paired difference. It passes if it is better beyond chance at one horizon or more,
+and worse at none.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
 
 from swarmssm.analysis.interpretation.influence.delays import first_to_turn
 from swarmssm.analysis.posterior.intervals import quantiles
-from swarmssm.analysis.posterior.joining import joined
-from swarmssm.analysis.scoring.differences import paired_difference
-from swarmssm.analysis.scoring.references import REFERENCES
-from swarmssm.analysis.scoring.summaries import score_table
 from swarmssm.analysis.scoring.table import format_number
+from swarmssm.analysis.scoring.verdicts import Skill, skill_at, verdict
 
-__all__ = ["ForecastTest", "forecast_test", "verdict_of"]
+__all__ = ["forecast_test", "verdict_of"]
 
-SOCIAL = ("cohesion", "separation", "alignment")
-LEVEL = 0.9
-#: Coverage that is this far below the level says that the intervals are too narrow.
-TOLERANCE = 0.05
-
-
-@dataclass(frozen=True)
-class ForecastTest:
-    """The forecasts of a fit against the best simple baseline at each horizon.
-
-    Attributes
-    ----------
-    model
-        The fit.
-    baselines
-        The best of them at each horizon.
-    horizons
-        Steps ahead.
-    skill
-        1 minus the ratio of the CRPS to that of the baseline, at each horizon.
-    better, worse
-        Horizons at which the difference is beyond chance.
-    known
-        Whether there were enough origins to tell.
-    coverage
-        Mean over the horizons of the share of coordinates inside the 90 % intervals.
-    trained_on
-        Whether some of the scored frames were trained on.
-    """
-
-    model: str
-    baselines: tuple[str, ...]
-    horizons: tuple[int, ...]
-    skill: tuple[float, ...]
-    better: tuple[int, ...]
-    worse: tuple[int, ...]
-    known: bool
-    coverage: float
-    trained_on: bool
-
-    @property
-    def passed(self) -> bool:
-        """Whether the rule forecasts better than a simple baseline, and nowhere worse."""
-        return bool(self.better) and not self.worse and not self.trained_on
+#: In place of a forecast test.
+UNTESTED = "Forecasts were not scored: whether the rule can be believed is not known."
 
 
-def forecast_test(scores: xr.Dataset) -> ForecastTest:
-    """Compare the first fit of a dataset of scores with the best simple baseline.
+def forecast_test(scores: xr.Dataset, model: str) -> tuple[list[Skill], str]:
+    """Return the skill of a fit over the best reference at each horizon, and what follows.
 
     Parameters
     ----------
     scores
-        Forecast scores over ``model``, ``origin`` and ``horizon``, with at least one baseline.
+        From :func:`swarmssm.analysis.scoring.score`, with references.
+    model
+        The fit.
     """
-    models = [str(name) for name in scores["model"].to_numpy()]
-    model, horizons = models[0], [int(k) for k in scores["horizon"].to_numpy()]
-    simple = [name for name in models if name in REFERENCES]
-    crps = score_table(scores, "crps")
-    base = np.where(np.isnan(own := crps.sel(model=simple).to_numpy()), np.inf, own)
-    best = [simple[index] for index in base.argmin(0)]
-    low, high = {}, {}
-    for name in set(best):
-        difference = paired_difference(scores, "crps", model, name)["difference"]
-        low[name] = difference.sel(quantile=0.05).to_numpy()
-        high[name] = difference.sel(quantile=0.95).to_numpy()
-    lows = np.array([low[name][index] for index, name in enumerate(best)])
-    highs = np.array([high[name][index] for index, name in enumerate(best)])
-    with np.errstate(invalid="ignore"):
-        skill = 1.0 - crps.sel(model=model).to_numpy() / base.min(0)
-    return ForecastTest(
-        model=model,
-        baselines=tuple(best),
-        horizons=tuple(horizons),
-        skill=tuple(float(value) for value in skill),
-        better=tuple(k for k, end in zip(horizons, lows, strict=True) if end > 0),
-        worse=tuple(k for k, end in zip(horizons, highs, strict=True) if end < 0),
-        known=bool(np.isfinite(lows).any()),
-        coverage=float(score_table(scores, "coverage", LEVEL).sel(model=model).mean()),
-        trained_on=int(scores["trained_on"].sel(model=model)) > 0,
+    skills = [skill_at(scores, model, int(k)) for k in scores["horizon"].to_numpy()]
+    signs = {skill.differs for skill in skills}
+    if int(scores["trained_on"].sel(model=model)) > 0:
+        return skills, "Without held-out frames the rule is not tested."
+    if not np.isfinite([skill.value for skill in skills]).all():
+        return skills, "The rule should not be believed: its forecasts diverge."
+    if not np.isfinite([skill.low for skill in skills]).any():
+        return skills, "Whether the rule can be believed is not known: too few frames are held out."
+    if signs >= {1, -1}:
+        return skills, "The rule should be believed with reserve."
+    if 1 in signs:
+        return skills, "The rule forecasts better than simple baselines, and can be interpreted."
+    return skills, (
+        "The rule should not be believed: it forecasts no better than a simple baseline."
     )
 
 
@@ -120,9 +65,6 @@ def verdict_of(datasets: Mapping[str, xr.Dataset]) -> str:
     return " ".join(parts) or "No individual turns before the others beyond chance."
 
 
-UNTESTED = "Forecasts were not scored: whether the rule can be believed is not known."
-
-
 def _share(values: np.ndarray) -> str:
     """Return a median in per cent with its interval."""
     low, middle, high = 100.0 * values
@@ -137,7 +79,7 @@ def _forces(found: xr.Dataset) -> str:
     neighbors = found["neighbor_share"].to_numpy()
     if not np.isfinite(neighbors).all():
         return "No force acts."
-    social = share.sel(term=list(SOCIAL), quantile=0.5)
+    social = share.sel(term=list(found.attrs["neighbor_terms"]), quantile=0.5)
     largest = str(social["term"].to_numpy()[int(np.argmax(social.to_numpy()))])
     text = f"Neighbours make up {_share(neighbors)} of the mean force"
     if float(social.max()) >= 0.005:
@@ -187,55 +129,6 @@ def _delays(found: xr.Dataset) -> list[str]:
 
 
 def _forecasts(scores: xr.Dataset) -> str:
-    """Say whether forecasts are better than the best simple baseline's, and what follows."""
-    if not any(str(name) in REFERENCES for name in scores["model"].to_numpy()):
-        return UNTESTED
-    found = forecast_test(scores)
-    names = joined([name.replace("-", " ") for name in dict.fromkeys(found.baselines)])
-    last = found.skill[-1]
-    side = "lower" if last > 0 else "higher"
-    size = f"CRPS {abs(100 * last):.0f} % {side} at {_at(found.horizons[-1:])}"
-    if found.trained_on:
-        text = (
-            f"No frames were held out: compared with {names} ({size}), the score is of frames that "
-            "were trained on, and no test."
-        )
-    elif not found.known:
-        text = (
-            f"The held-out frames are too few for a test against the best simple baseline, {names} "
-            f"({size}): whether the rule can be believed is not known."
-        )
-    elif found.passed:
-        text = (
-            f"It forecasts held-out frames better than the best simple baseline, {names}, at "
-            f"{_at(found.better)} ({size})."
-        )
-    elif found.better:
-        text = (
-            f"Its forecasts of held-out frames are better than those of the best simple baseline, "
-            f"{names}, at {_at(found.better)}, and worse at {_at(found.worse)} ({size}): the rule "
-            "should be believed with reserve."
-        )
-    elif found.worse:
-        text = (
-            f"It forecasts held-out frames worse than the best simple baseline, {names}, at "
-            f"{_at(found.worse)} ({size}): the rule should not be believed."
-        )
-    else:
-        text = (
-            f"It does not forecast held-out frames better than the best simple baseline, {names}, "
-            f"beyond chance ({size}): the rule should not be believed."
-        )
-    if found.coverage < LEVEL - TOLERANCE:
-        text += (
-            f" Its 90 % forecast intervals hold {100 * found.coverage:.0f} %: it is too sure, and "
-            "the intervals of the forces are likely to be too narrow as well."
-        )
-    return text
-
-
-def _at(horizons: tuple[int, ...]) -> str:
-    """Return horizons as text."""
-    if horizons == (1,):
-        return "1 step"
-    return f"{joined([str(k) for k in horizons])} steps"
+    """Say how the analysed fit, the first, forecasts, and what follows for its rule."""
+    model = str(scores["model"].to_numpy()[0])
+    return f"{verdict(scores, model)} {forecast_test(scores, model)[1]}"

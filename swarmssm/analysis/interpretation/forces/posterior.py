@@ -34,6 +34,8 @@ from swarmssm.analysis.posterior.accelerations import (
 )
 from swarmssm.analysis.posterior.intervals import QUANTILES, known_mean, quantiles
 from swarmssm.inference import Fit
+from swarmssm.models import StateSpaceModel
+from swarmssm.models.transitions.protocols import PairKernels
 from swarmssm.tracks import Array
 
 __all__ = [
@@ -44,7 +46,7 @@ __all__ = [
 
 #: Into what every acceleration is split.
 TERMS = ("cohesion", "separation", "alignment", "self", "other")
-#: Those by which others act.
+#: Those by which neighbours act, in any model.
 NEIGHBOR_TERMS = ("cohesion", "separation", "alignment")
 #: Order of the dimensions of a force, behind draws.
 FORCE_DIMS = ("trial", "time", "individual", "space", "term")
@@ -171,6 +173,7 @@ def posterior_forces(
             "source": "model" if motion.terms else "projection",
             "model": fit.settings.model,
             "unit": unit,
+            "neighbor_terms": [*NEIGHBOR_TERMS, *_pair_forces(fit, terms)],
         },
     )
     if motion.terms:
@@ -192,6 +195,13 @@ def terms_of(motion: AccelerationModel) -> tuple[str, ...]:
     """
     own = [name for name in motion.terms if name not in PLACES and name not in TERMS]
     return (*TERMS[:-2], *own, *TERMS[-2:])
+
+
+def _pair_forces(fit: Fit, terms: tuple[str, ...]) -> list[str]:
+    """Return the model's own forces that are functions of the distance to a neighbour."""
+    transition = fit.model.transition if isinstance(fit.model, StateSpaceModel) else None
+    kinds = transition.kernel_kinds if isinstance(transition, PairKernels) else {}
+    return [name for name in terms if name in kinds and name not in TERMS]
 
 
 def _name(motion: AccelerationModel, paths: PosteriorPaths, draw: int, out: Array) -> None:
@@ -280,8 +290,8 @@ def force_summary(forces: xr.Dataset) -> xr.Dataset:
     ``individual_magnitude (quantile, individual, term)``, ``mean_magnitude (quantile, term)``
         Length, mean over all frames, and over all frames and individuals.
     ``share (quantile, term)``, ``neighbor_share (quantile)``
-        Mean length of a term over the sum of the mean lengths of all; and of cohesion, separation
-        and alignment together.
+        Mean length of a term over the sum of the mean lengths of all; and of those together by
+        which neighbours act, ``attrs["neighbor_terms"]`` of the forces.
     ``angle``, ``angle_to_heading (quantile, trial, time, individual, term)``
         In two dimensions: direction in the world, from the x axis towards the y axis, and
         from the heading, positive to where y is from x; radians, the middle from -pi to pi and the
@@ -322,8 +332,8 @@ def force_summary(forces: xr.Dataset) -> xr.Dataset:
         ),
         "neighbor_share": (
             "quantile",
-            quantiles(share[:, [TERMS.index(name) for name in NEIGHBOR_TERMS]].sum(-1)),
-            {"units": "1", "long_name": "share of cohesion, separation and alignment"},
+            quantiles(share[:, _is_social(forces)].sum(-1)),
+            {"units": "1", "long_name": "share of the forces of neighbours"},
         ),
     }
     for name, (angle, what) in _angles(force, velocity).items():
@@ -331,6 +341,12 @@ def force_summary(forces: xr.Dataset) -> xr.Dataset:
     coords: dict[str, Any] = {"quantile": list(QUANTILES)}
     coords |= {name: forces[name].to_numpy() for name in FORCE_DIMS}
     return xr.Dataset(data, coords, dict(forces.attrs)).assign(explained=forces["explained"])
+
+
+def _is_social(forces: xr.Dataset) -> "np.ndarray[tuple[int], np.dtype[np.bool_]]":
+    """Return by which terms neighbours act."""
+    names = forces.attrs.get("neighbor_terms", NEIGHBOR_TERMS)
+    return np.isin(forces["term"].to_numpy().astype(str), names)
 
 
 def _angles(force: Array, velocity: Array) -> dict[str, tuple[Array, str]]:
