@@ -27,6 +27,10 @@ def import_tracks(
     unit: Annotated[
         str | None, typer.Option(help="Unit of length, where the file does not tell.")
     ] = None,
+    y_axis: Annotated[
+        str | None,
+        typer.Option(help="up or down: where y grows. Default: down for trackers and pixels."),
+    ] = None,
     empty: Annotated[
         str | None,
         typer.Option(help="Individuals without any position: refuse, drop or keep."),
@@ -64,6 +68,7 @@ def import_tracks(
         format,
         fps,
         unit=unit,
+        y_axis=y_axis,  # type: ignore[arg-type]
         empty=empty,  # type: ignore[arg-type]
         centroid=centroid,
         video=video,

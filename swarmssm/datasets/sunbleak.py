@@ -82,7 +82,7 @@ def load_sunbleak(individuals: int | None = 10) -> xr.Dataset:
         unit=str(arrays["unit"]),
         source_software="TRex",
         source_file="sunbleak.npz",
-        attrs={name: str(arrays[name]) for name in TEXTS},
+        attrs={"y_axis": "down"} | {name: str(arrays[name]) for name in TEXTS},
     )
 
 
@@ -137,7 +137,7 @@ def load_sunbleak_groups(individuals: int = 10, groups: int = 8) -> xr.Dataset:
         unit=shoal.attrs["unit"],
         source_software="TRex",
         source_file="sunbleak.npz",
-        attrs={name: shoal.attrs[name] for name in TEXTS},
+        attrs={name: shoal.attrs[name] for name in ("y_axis", *TEXTS)},
     )
 
 

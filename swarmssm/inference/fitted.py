@@ -26,7 +26,7 @@ from swarmssm.inference.run_folder import Run, load_run, save_run
 from swarmssm.inference.starting import last_frames, most_complete_frames
 from swarmssm.models import InferredEdges, OneStepModel, StateSpaceModel
 from swarmssm.models.parts import own_parameters
-from swarmssm.tracks import MAX_COORDINATE, Array, make_tracks
+from swarmssm.tracks import MAX_COORDINATE, Array, make_tracks, spatial_attributes
 from swarmssm.tracks.splits import take
 
 __all__ = ["Fit"]
@@ -427,9 +427,8 @@ class Fit(Run):
             fps=source.attrs["fps"],
             individuals=[str(name) for name in source["individual"].values],
             trials=labels,
-            unit=source.attrs.get("unit", ""),
             source_software="swarmssm",
-            attrs={"free_run_of": self.settings.model},
+            attrs={"free_run_of": self.settings.model, **spatial_attributes(source)},
         )
 
     def save(self, folder: str | Path, *, overwrite: bool = False) -> None:

@@ -3,7 +3,7 @@
 import inspect
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import xarray as xr
 
@@ -41,6 +41,9 @@ _READERS: dict[str, Callable[..., xr.Dataset]] = {
     "table": read_table,
     "arrays": read_arrays,
 }
+#: Trackers that work on videos count from the top left corner, so that y grows downwards.
+_TRACKERS = ("trex", "trex-csv", "idtrackerai", "idtracker")
+_POSE_TRACKERS = ("SLEAP", "DeepLabCut", "LightningPose")
 #: TRex writes a file even for an identity that it lost at once, and a part cut from tracks may not
 #: meet all individuals; elsewhere one without any position is a mistake.
 _EMPTY: dict[str, EmptyPolicy] = {"netcdf": "keep", "trex": "drop", "trex-csv": "drop"}
@@ -52,6 +55,7 @@ def read(
     fps: float | None = None,
     *,
     unit: str | None = None,
+    y_axis: Literal["up", "down"] | None = None,
     empty: EmptyPolicy | None = None,
     centroid: str | None = None,
     video: str | None = None,
@@ -74,6 +78,11 @@ def read(
         where the rate is from: ``"argument"``, ``"file"`` or ``"time"``.
     unit
         Unit of length, where the file tells none or a wrong one. Nothing is converted.
+    y_axis
+        Whether y grows upwards or downwards in the picture; pictures and force maps follow it.
+        Nothing is converted. Default: what the file tells, else downwards in the files of
+        trackers (TRex, idtracker.ai, idTracker, SLEAP, DeepLabCut, LightningPose) and of pixels,
+        and upwards elsewhere.
     empty
         What to do about individuals without any position: ``"refuse"``, ``"drop"`` (they are
         named in ``attrs["left_out_individuals"]``) or ``"keep"``. Default: drop those of TRex, keep
@@ -124,4 +133,20 @@ def read(
         tracks["position"].attrs["units"] = unit
         if "velocity" in tracks:
             tracks["velocity"].attrs["units"] = f"{unit}/s"
+    _orient(tracks, name, y_axis)
     return settle_empty(tracks, empty or _EMPTY.get(name, "refuse"), place)
+
+
+def _orient(tracks: xr.Dataset, format: str, y_axis: str | None) -> None:
+    """Note in the tracks where y grows downwards."""
+    if y_axis not in (None, "up", "down"):
+        raise InputError(f"y_axis: it must be up or down, and it is {y_axis!r}.")
+    if y_axis is None and "y_axis" not in tracks.attrs and tracks.sizes["space"] == 2:
+        in_video = (
+            format in _TRACKERS
+            or tracks.attrs.get("source_software") in _POSE_TRACKERS
+            or tracks.attrs["unit"] in ("px", "pixel", "pixels")
+        )
+        y_axis = "down" if in_video else None
+    if y_axis is not None:
+        tracks.attrs["y_axis"] = y_axis

@@ -7,7 +7,8 @@ The schema follows the ``movement`` package (singular dimension names)::
     adjacency  (trial?, time, individual, neighbor)   optional, 1 = individual sees neighbor
 
 ``time`` is in seconds on a regular grid of ``1 / fps``; ``attrs`` carry ``fps``, ``time_unit``,
-``unit`` (of length), ``source_software`` and ``source_file``.
+``unit`` (of length), ``source_software`` and ``source_file``. Where y grows downwards, as in the
+pixels of a video, ``attrs["y_axis"]`` is ``"down"``.
 """
 
 from collections.abc import Hashable, Mapping, Sequence
@@ -31,6 +32,7 @@ __all__ = [
     "make_tracks",
     "num_individuals",
     "observed",
+    "spatial_attributes",
     "states_of",
     "stepwise_velocity",
     "validate_tracks",
@@ -245,6 +247,14 @@ def with_trials(tracks: xr.Dataset) -> xr.Dataset:
     timed = [name for name in tracks.data_vars if "time" in tracks[name].dims]
     several = tracks[timed].expand_dims(trial=np.array([label]))
     return several.assign(tracks.drop_vars(timed).data_vars)
+
+
+def spatial_attributes(tracks: xr.Dataset) -> dict[str, str]:
+    """Return what a picture of space needs: ``unit``, and ``y_axis`` where y grows downwards."""
+    attributes = {"unit": str(tracks.attrs.get("unit", ""))}
+    if tracks.attrs.get("y_axis") == "down":
+        attributes["y_axis"] = "down"
+    return attributes
 
 
 def num_individuals(tracks: xr.Dataset) -> int:

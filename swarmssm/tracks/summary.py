@@ -7,7 +7,14 @@ import numpy as np
 import xarray as xr
 
 from swarmssm import metrics
-from swarmssm.tracks.dataset import Array, has_trials, observed, states_of, with_trials
+from swarmssm.tracks.dataset import (
+    Array,
+    has_trials,
+    observed,
+    spatial_attributes,
+    states_of,
+    with_trials,
+)
 from swarmssm.tracks.jumps import find_jumps
 from swarmssm.tracks.kinematics import observed_runs
 
@@ -25,7 +32,8 @@ def summarize(tracks: xr.Dataset) -> dict[str, Any]:
     Returns
     -------
     By name: ``trials``, ``frames`` (of the longest trial), ``seconds``, ``fps``, ``individuals``,
-    ``space``, ``unit``, ``observed`` (share of individuals and frames, over each trial's own
+    ``space``, ``unit``, ``y_axis``
+    (``"up"`` or ``"down"``), ``observed`` (share of individuals and frames, over each trial's own
     length), ``gaps`` (number) and ``longest_gap`` (frames), ``never_observed`` (labels),
     ``velocity`` and ``adjacency`` (whether they are there), ``edges`` (mean number an individual
     sees), ``speed`` (5, 50, 95 % quantiles, per second), ``polarization``, ``rotation``,
@@ -62,6 +70,7 @@ def summarize(tracks: xr.Dataset) -> dict[str, Any]:
         "individuals": int(tracks.sizes["individual"]),
         "space": int(tracks.sizes["space"]),
         "unit": str(tracks.attrs.get("unit", "")),
+        "y_axis": spatial_attributes(tracks).get("y_axis", "up"),
         "observed": float(seen.sum() / present),
         "gaps": len(gaps),
         "longest_gap": int(max(gaps, default=0)),
@@ -84,6 +93,7 @@ def describe(summary: dict[str, Any]) -> list[tuple[str, str]]:
     """Return a summary as rows of words for a person: name and value."""
     unit = summary["unit"]
     length = f" {unit}" if unit else ""
+    down = ", y downwards" if summary["y_axis"] == "down" else ""
     rows = [
         ("individuals", str(summary["individuals"])),
         ("trials", str(summary["trials"])),
@@ -91,7 +101,7 @@ def describe(summary: dict[str, Any]) -> list[tuple[str, str]]:
             "frames",
             f"{summary['frames']} at {summary['fps']:g} per second ({summary['seconds']:.4g} s)",
         ),
-        ("space", f"{summary['space']}-dimensional, unit {unit or 'not told'}"),
+        ("space", f"{summary['space']}-dimensional, unit {unit or 'unknown'}{down}"),
         (
             "observed",
             f"{100 * summary['observed']:.1f} %; {summary['gaps']} gaps, "

@@ -75,7 +75,7 @@ def _remember(dataset: xr.Dataset, digest: bytes) -> None:
 def _digest(dataset: xr.Dataset) -> bytes:
     """Return a digest of all that validation looks at."""
     digest = hashlib.sha256()
-    own = ("fps", "time_unit", "unit", "source_software", "source_file")
+    own = ("fps", "time_unit", "unit", "y_axis", "source_software", "source_file")
     attrs = {name: dataset.attrs.get(name) for name in own}
     digest.update(repr((attrs, dict(dataset.sizes))).encode())
     for name, variable in sorted(dataset.variables.items(), key=lambda item: str(item[0])):
@@ -112,6 +112,8 @@ def _validated(dataset: xr.Dataset, where: str) -> xr.Dataset:
             "it needs time, space and individual, and may have trial."
         )
     dataset = _check_space(dataset, where)
+    if (y_axis := dataset.attrs.get("y_axis", "up")) not in ("up", "down"):
+        raise InputError(f"{where}: y_axis must be up or down, and it is {y_axis!r}.")
     for dim in ("individual", *extra):
         dataset = _check_labels(dataset, dim, where)
     if "neighbor" in dataset.dims:

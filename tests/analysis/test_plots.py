@@ -24,7 +24,7 @@ def segments_of(ax):
 
 def test_paths_are_drawn_as_given(planted):
     true = planted().imitation["true"]
-    figure, ax = plots.plot_trajectories(true, unit="cm", title="school")
+    figure, ax = plots.plot_trajectories(true, attributes={"unit": "cm"}, title="school")
     assert isinstance(figure, Figure)
     assert ax.figure is figure
     paths = [np.asarray(line.get_xydata()) for line in ax.lines]
@@ -234,7 +234,9 @@ def test_runs_from_random_starts_have_axes_of_their_own(planted):
 
 
 def test_a_unit_is_text_and_no_formula(planted):
-    figure, ax = plots.plot_trajectories(planted().imitation["true"], unit="$\\frac")
+    figure, ax = plots.plot_trajectories(
+        planted().imitation["true"], attributes={"unit": "$\\frac"}
+    )
     figure.canvas.draw()  # text that is taken for a broken formula raises here
     assert "($\\frac)" in ax.get_xlabel()
     figure, ax = plots.plot_collective(planted().collective, unit="$_")

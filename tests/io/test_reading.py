@@ -179,3 +179,33 @@ def test_individuals_without_any_position(tmp_path):
 def test_one_individual_is_enough(tmp_path):
     np.savez(tmp_path / "t.npz", xy=MOTION[:, :1], fps=5)
     assert read(tmp_path / "t.npz").sizes["individual"] == 1
+
+
+@pytest.mark.parametrize(
+    ("writer", "options", "expected"),
+    [
+        (write_idtracker, {}, "down"),
+        (write_trex_file, {}, "down"),
+        (write_idtracker, {"y_axis": "up"}, "up"),
+        (write_npz, {"fps": 25}, None),
+        (write_npz, {"unit": "px"}, "down"),
+        (write_npz, {"y_axis": "down"}, "down"),
+        (write_netcdf, {}, None),
+    ],
+)
+def test_where_y_grows_downwards(tmp_path, writer, options, expected):
+    """The files of trackers count from the top left corner of the video."""
+    path = tmp_path / "video_fish0.npz"
+    writer(path)
+    tracks = read(path, **({"fps": 25} | options))
+    assert tracks.attrs.get("y_axis") == expected
+    write(tracks, tmp_path / "kept.nc")
+    assert read(tmp_path / "kept.nc").attrs.get("y_axis") == expected
+
+
+def test_a_direction_of_y_that_is_none_is_named(tmp_path):
+    write_netcdf(tmp_path / "a.nc")
+    with pytest.raises(InputError, match="y_axis: it must be up or down, and it is 'left'"):
+        read(tmp_path / "a.nc", y_axis="left")
+    with pytest.raises(InputError, match="y_axis must be up or down"):
+        make_tracks(MOTION, fps=25, attrs={"y_axis": 1})

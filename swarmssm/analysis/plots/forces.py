@@ -163,7 +163,7 @@ def plot_force_arrows(
         end = start + reach * toward
         ax.plot(*zip(start, end, strict=True), color="#000000", linewidth=1.6, zorder=4)
     ax.scatter(across, up, s=dot_size(len(place), 34.0), c="#000000", linewidths=0, zorder=5)
-    label_axes(ax, [str(name) for name in forces["space"].values], forces.attrs.get("unit", ""))
+    label_axes(ax, forces["space"].to_numpy(), forces.attrs)
     # No mean arrow is cut off, and few of the draws, which may be longer.
     room = 1.3 * ARROW * extent
     for corner in (place - room, place + room) if len(place) else ():

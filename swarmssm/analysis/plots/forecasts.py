@@ -98,7 +98,7 @@ def plot_forecast(
             ax.plot(*known[-1], "x", color=truth, markersize=5, zorder=4)
         ax.plot(*begin, "o", color=colour, markersize=4.5, zorder=5)
     ax.autoscale_view()
-    label_axes(ax, [str(name) for name in fan["space"].values], str(fan.attrs.get("unit", "")))
+    label_axes(ax, fan["space"].to_numpy(), fan.attrs)
     if title is None:
         seconds = float(fan["ahead"].sel(step=chosen[-1]))
         title = f"{seconds:.3g} s ahead from {float(part['start']):.4g} s"

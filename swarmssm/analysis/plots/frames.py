@@ -9,7 +9,7 @@ from matplotlib.collections import Collection, LineCollection, PolyCollection
 from matplotlib.colors import to_rgba
 
 from swarmssm.analysis.plots.scenes.scene import Box, Scene
-from swarmssm.analysis.plots.style import individual_colours, label_axes
+from swarmssm.analysis.plots.style import individual_colours, label_axes, set_box
 from swarmssm.tracks import Array
 
 __all__ = ["FramePicture", "length_of"]
@@ -60,7 +60,6 @@ class FramePicture:
         self, ax: Axes, scene: Scene, box: Box, *, tail: int = 25, edges: bool = True
     ) -> None:
         self.scene, self.tail = scene, tail
-        left, right, bottom, top = box
         count = max(len(scene.individuals), 1)
         self.length = length_of(box, count)
         self._colours = np.array([to_rgba(colour) for colour in individual_colours(count)])
@@ -71,10 +70,8 @@ class FramePicture:
         self.bodies = PolyCollection([], linewidths=0, zorder=3)
         for collection in self._artists():
             ax.add_collection(collection, autolim=False)
-        label_axes(ax, list(scene.space), scene.unit)
-        ax.set_xlim(left, right)
-        ax.set_ylim(bottom, top)
-        ax.set_aspect("equal", adjustable="box")
+        label_axes(ax, scene.space, {"unit": scene.unit, "y_axis": scene.y_axis})
+        set_box(ax, box)
 
     def show(self, row: int) -> list[Collection]:
         """Draw that frame, and return what was moved."""

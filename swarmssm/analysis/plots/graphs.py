@@ -1,5 +1,6 @@
 """The interaction graph, true and predicted, and how well it is predicted."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -48,7 +49,6 @@ def plot_graphs(
     """
     count = graphs.sizes["snapshot"]
     figure, grid = new_grid(axes, 2, count, (3.1 * count, 6.2))
-    unit = graphs.attrs.get("unit", "")
     for column in range(count):
         frame = graphs.isel(snapshot=column)
         seconds = float(frame["snapshot"])
@@ -58,7 +58,7 @@ def plot_graphs(
             (grid[0, column], frame["true"].to_numpy(), "true"),
             (grid[1, column], predicted, "predicted"),
         ):
-            _draw_graph(ax, frame["position"], edges, unit)
+            _draw_graph(ax, frame["position"], edges, graphs.attrs)
             ax.set_title(f"{word}, {seconds:.3g} s", fontsize=9)
     return figure, grid
 
@@ -104,7 +104,9 @@ def plot_edge_accuracy(
     return figure, ax
 
 
-def _draw_graph(ax: Axes, position: xr.DataArray, edges: npt.NDArray[Any], unit: str) -> None:
+def _draw_graph(
+    ax: Axes, position: xr.DataArray, edges: npt.NDArray[Any], attributes: Mapping[str, Any]
+) -> None:
     """Draw one graph: a line where both see each other, an arrow where one sees the other."""
     place = position.transpose("individual", "space").to_numpy()[:, :2]
     seen = np.isfinite(place).all(axis=-1)
@@ -143,4 +145,4 @@ def _draw_graph(ax: Axes, position: xr.DataArray, edges: npt.NDArray[Any], unit:
     colours = np.array(individual_colours(len(place)))[seen]
     size = dot_size(len(place), 32.0)
     ax.scatter(place[seen, 0], place[seen, 1], c=colours, s=size, linewidths=0, zorder=2)
-    label_axes(ax, [str(name) for name in position["space"].values], unit)
+    label_axes(ax, position["space"].to_numpy(), attributes)

@@ -5,12 +5,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import LineCollection
-from matplotlib.colors import ListedColormap, Normalize, to_rgba
+from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import Polygon
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from swarmssm.analysis.plots.forces import TERM_COLOURS, units
@@ -32,12 +31,10 @@ KERNEL_COLOURS = {
 }
 #: Ink on a map, which is light in any page.
 DARK = "#111111"
+#: From blue over white to red; without the darkest ends, which faint would look grey.
+DIVERGING = ListedColormap(colormaps["RdBu_r"](np.linspace(0.1, 0.9, 256)))
 #: Bins of a map with too few pairs, and the middle of its scale of colours.
 EMPTY, NEUTRAL = "#c8c8c8", "#f7f7f7"
-#: Where fewer neighbours are than this share of the highest density, curves fade out.
-FADES_BELOW = 0.2
-#: The axes are made for distances at which there are neighbours, to this share of the most.
-SHOWN_FROM = 0.02
 #: Bins of a map with fewer pairs stay empty; those within so many standard errors of 0 are faint.
 FEWEST_PAIRS = 10
 UNSURE = 2.0
@@ -65,20 +62,19 @@ def plot_kernels(
 
     Returns
     -------
-    Figure and axes ``(2,)``. Bands are 90 % intervals and fade where there are hardly any
-    neighbours, whose distances are the grey hills below; the axes are made for the distances
-    between the 1st and the 99th percentile. A dotted line marks the preferred distance, shaded
-    with its interval.
+    Figure and axes ``(2,)``. Bands are 90 % intervals. Curves are drawn over the distances at which
+    there are neighbours, from ``believed_from`` to ``believed_to``: from the 1 % to the 98 %
+    quantile, whose density is the grey area below. A dotted line marks the preferred distance,
+    shaded with its interval.
     """
     figure, grid = new_grid(axes, 1, 2, (9.6, 3.9))
     distance = kernels["distance"].to_numpy()
     unit = str(kernels.attrs.get("unit", ""))
+    attrs = kernels.attrs
+    low, high = float(attrs.get("believed_from", 0.0)), float(attrs.get("believed_to", np.inf))
+    inside = (distance >= low) & (distance <= high)
     density = kernels["density"].to_numpy()
     dense = density / max(float(density.max()), 1e-300)
-    alpha = np.clip(dense / FADES_BELOW, 0.0, 1.0)
-    low, high = (kernels.attrs.get(f"believed_{end}") for end in ("from", "to"))
-    inside = (distance >= (low or 0.0)) & (distance <= (np.inf if high is None else high))
-    inside &= dense > SHOWN_FROM
     panels = (
         ("net", NET, "force of a neighbour: away < 0 < towards"),
         ("alignment", TERM_COLOURS["alignment"], "alignment with a neighbour"),
@@ -93,28 +89,33 @@ def plot_kernels(
         if name not in kernels:
             ax.set_visible(False)
             continue
-        curves = kernels[name].transpose("quantile", "distance").to_numpy()
+        curves = kernels[name].transpose("quantile", "distance").to_numpy()[:, inside]
+        bottom, middle, top = curves
         ax.axhline(0.0, color="#7f7f7f", linewidth=0.8, zorder=1)
-        _faded_band(ax, distance, curves, alpha, colour)
-        ax.plot([], [], color=colour, linewidth=2.0, label="posterior, 90 % band")
-        shown = [curves[:, inside]]
+        shown_at = distance[inside]
+        ax.fill_between(shown_at, bottom, top, color=colour, alpha=0.25, linewidth=0, zorder=2)
+        ax.plot(
+            shown_at, middle, color=colour, linewidth=2.0, label="posterior, 90 % band", zorder=3
+        )
+        shown = [curves]
         if name == "net" and len(radial) > 1:
             number = float(kernels["neighbors"].sel(quantile=0.5))
             for place, part in enumerate(radial):
-                middle, word = kernels[part].sel(quantile=0.5).to_numpy(), part
+                middle, word = kernels[part].sel(quantile=0.5).to_numpy()[inside], part
                 if kernels.attrs.get(f"{part}_over_neighbors") == "sum":
                     middle, word = number * middle, f"{part} by {number:.2g} neighbours"
                 style = KERNEL_COLOURS.get(part, f"C{place}")
-                ax.plot(distance, middle, "--", color=style, linewidth=1.1, alpha=0.8, label=word)
+                shown.append(middle[None])
+                ax.plot(shown_at, middle, "--", color=style, linewidth=1.1, alpha=0.8, label=word)
         if truth is not None and name in truth:
-            true = truth[name].to_numpy()
-            ax.plot(truth["distance"], true, color=colour_of("truth"), linewidth=1.2, label="truth")
-            shown.append(true[None, inside])
+            true = truth[name].to_numpy()[inside]
+            ax.plot(shown_at, true, color=colour_of("truth"), linewidth=1.2, label="truth")
+            shown.append(true[None])
         bottom = min(0.0, *(float(np.nanmin(c, initial=0.0)) for c in shown))
         top = max(0.0, *(float(np.nanmax(c, initial=0.0)) for c in shown))
         room = 0.08 * ((top - bottom) or 1.0)
         ax.set_ylim(bottom - 2.5 * room, top + room)
-        ax.set_xlim(0.0, float(distance[-1]))
+        ax.set_xlim(0.0, float(distance[-1]) if np.isinf(high) else 1.02 * high)
         ax.fill_between(
             distance,
             0.0,
@@ -126,11 +127,10 @@ def plot_kernels(
             zorder=0,
         )
         ax.set_xlabel(f"distance ({unit})" if unit else "distance", parse_math=False)
-        ax.set_ylabel(
-            f"{'force' if name == 'net' else 'g'} ({units(kernels[name])})", parse_math=False
-        )
+        quantity = "force" if name == "net" else "rate of alignment"
+        ax.set_ylabel(f"{quantity} ({units(kernels[name])})", parse_math=False)
         ax.set_title(title, fontsize=10)
-        legend_below(ax)
+        legend_below(ax, columns=2)
     if float(kernels["has_preferred_distance"]) > 0.5:
         near, middle, far = kernels["preferred_distance"].transpose("quantile").to_numpy()
         grid[0, 0].axvspan(near, far, color=NET, alpha=0.12, linewidth=0, zorder=0)
@@ -193,6 +193,7 @@ def plot_force_maps(
     titles = {"model": "model's accelerations", "raw": "raw data"}
     unit = str(maps.attrs.get("unit", ""))
     across, along = (_edges(maps[name].to_numpy()) for name in ("left_right", "front_back"))
+    told = f" ({unit})" if unit else ""
     words = {"turning": "turning, right > 0", "speeding": "speeding up > 0"}
     for line, name in zip(grid, ("turning", "speeding"), strict=True):
         values = maps[name].transpose("source", "front_back", "left_right").to_numpy()
@@ -215,7 +216,7 @@ def plot_force_maps(
                 across,
                 along,
                 own,
-                cmap="RdBu_r",
+                cmap=DIVERGING,
                 vmin=-limit,
                 vmax=limit,
                 alpha=np.where(firm, 1.0, 0.35),
@@ -224,13 +225,13 @@ def plot_force_maps(
             )
             ax.plot([0], [0], marker="^", color=DARK, markersize=9, linestyle="")
             ax.set_aspect("equal", adjustable="box")
-            ax.set_xlabel(f"left – right ({unit})" if unit else "left – right", parse_math=False)
-            ax.set_ylabel(f"back – front ({unit})" if unit else "back – front", parse_math=False)
+            ax.set_xlabel(f"left ← neighbour → right{told}", parse_math=False)
+            ax.set_ylabel(f"behind ← neighbour → ahead{told}", parse_math=False)
             ax.set_title(f"{name}: {titles.get(source, source)}", fontsize=10)
             for axis in (ax.xaxis, ax.yaxis):
                 axis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
                 axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        colours = ScalarMappable(Normalize(-limit, limit), "RdBu_r")
+        colours = ScalarMappable(Normalize(-limit, limit), DIVERGING)
         ends = "both" if beyond else "neither"
         bar = figure.colorbar(colours, ax=list(line), shrink=0.85, pad=0.02, extend=ends)
         bar.set_label(f"{words[name]} ({units(maps[name])})", parse_math=False)
@@ -252,40 +253,6 @@ def _colour_limit(values: npt.NDArray[np.float64], sure: npt.NDArray[np.bool_]) 
         return min(max(ends), STRONGER * min(ends))
     known = np.abs(values[np.isfinite(values)])
     return (float(np.quantile(known, SHOWN)) if known.size else 0.0) or 1.0
-
-
-def _faded_band(
-    ax: Axes,
-    distance: npt.NDArray[np.float64],
-    curves: npt.NDArray[np.float64],
-    alpha: npt.NDArray[np.float64],
-    colour: str,
-) -> None:
-    """Draw a band and its middle, fainter where there are few data."""
-    low, middle, high = curves
-    red, green, blue, _ = to_rgba(colour)
-    # A picture that fades from left to right, cut out along the band.
-    fine = np.linspace(distance[0], distance[-1], 400)
-    shade = np.empty((1, len(fine), 4))
-    shade[..., :3] = red, green, blue
-    shade[..., 3] = 0.3 * np.interp(fine, distance, alpha)
-    outline = np.concatenate([np.stack([distance, low], -1), np.stack([distance, high], -1)[::-1]])
-    band = Polygon(outline, facecolor="none", edgecolor="none")
-    ax.add_patch(band)
-    bottom, top = float(low.min()), float(high.max())
-    # A band without any width is still a picture with some.
-    room = 1e-6 * max(abs(bottom), abs(top), 1e-6)
-    extent = (distance[0], distance[-1], bottom - room, top + room)
-    picture = ax.imshow(
-        shade, extent=extent, aspect="auto", origin="lower", interpolation="bilinear", zorder=2
-    )
-    picture.set_clip_path(band)
-    points = np.stack([distance, middle], -1)
-    faces = [(red, green, blue, float(own)) for own in 0.5 * (alpha[1:] + alpha[:-1])]
-    pieces = np.stack([points[:-1], points[1:]], 1)
-    ax.add_collection(
-        LineCollection(list(pieces), colors=faces, linewidths=2.0, capstyle="butt", zorder=3)
-    )
 
 
 def _edges(middles: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

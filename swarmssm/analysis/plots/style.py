@@ -1,20 +1,23 @@
 """How all figures look: one colour a method everywhere, readable to the colour-blind."""
 
 import inspect
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
-from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import LogFormatter, MaxNLocator
 
 from swarmssm.errors import InputError
+from swarmssm.files import write_beside
 
 __all__ = [
+    "FIGURE_FORMATS",
     "LINE_STYLES",
     "MODEL_COLOUR",
     "colour_of",
@@ -24,13 +27,18 @@ __all__ = [
     "label_outer",
     "legend_below",
     "log_scale",
+    "millimetres",
     "new_axes",
     "new_grid",
     "paint_ground",
     "save_figure",
+    "set_box",
     "whole_numbers",
 ]
 
+#: Formats of figures, and the least and the most width in millimetres.
+FIGURE_FORMATS = ("pdf", "svg", "png")
+LEAST_WIDTH, MOST_WIDTH = 20.0, 1000.0
 #: Okabe and Ito's colours, darkened where they would fade on white; all but black, which a page in
 #: the dark replaces by its own ink, are seen on black too.
 COLOURS = {
@@ -41,8 +49,6 @@ COLOURS = {
     "commoner": "#7f7f7f",
 }
 MODEL_COLOUR = "#2f86c6"
-#: Millimetres in an inch.
-INCH = 25.4
 LINE_STYLES = {
     "truth": "-",
     "stay-put": ":",
@@ -113,32 +119,6 @@ def figure_of(ax: Axes) -> Figure:
     return figure
 
 
-def save_figure(figure: Figure, path: str | Path, width: float | None = None) -> None:
-    """Write a figure for a paper, its text as text and its fonts embedded.
-
-    Parameters
-    ----------
-    figure
-        What a plot returned.
-    path
-        A file ending in ``.pdf``, ``.svg`` or ``.png`` (300 dots per inch).
-    width
-        Width of the figure in mm, its shape kept; absent, as it was drawn.
-
-    Raises
-    ------
-    InputError
-        If the width is not positive.
-    """
-    if width is not None:
-        if not 0.0 < width < 10_000.0:
-            raise InputError(f"width: it must be a positive number of mm, not {width:g}.")
-        wide, high = figure.get_size_inches()
-        figure.set_size_inches(width / INCH, width / INCH * high / wide)
-    with rc_context({"pdf.fonttype": 42, "svg.fonttype": "none"}):
-        figure.savefig(path, dpi=300, format=Path(path).suffix.lstrip("."))
-
-
 def _knows_root() -> bool:
     """Return whether this matplotlib can tell a sub-figure from its figure (3.10 and later)."""
     return "root" in inspect.signature(Axes.get_figure).parameters
@@ -155,9 +135,22 @@ def paint_ground(ax: Axes, colour: str) -> None:
     ax.add_artist(whole)
 
 
-def label_axes(ax: Axes, coordinates: list[str], unit: str) -> None:
-    """Label space axes, and draw both to the same scale."""
-    first, second = (f"{name} ({unit})" if unit else name for name in coordinates[:2])
+def label_axes(ax: Axes, coordinates: Iterable[Any], attributes: Mapping[str, Any]) -> None:
+    """Label space axes, draw both to the same scale, and y downwards where it grows so.
+
+    Parameters
+    ----------
+    ax
+        The axes.
+    coordinates
+        Names of the coordinates.
+    attributes
+        ``unit`` of length and ``y_axis``, as tracks have them.
+    """
+    unit = str(attributes.get("unit", ""))
+    first, second = (f"{name} ({unit})" if unit else name for name in list(coordinates)[:2])
+    if attributes.get("y_axis") == "down":
+        ax.yaxis.set_inverted(True)
     # A unit is the user's own text: a dollar in it is a dollar, not the start of a formula.
     ax.set_xlabel(first, parse_math=False)
     ax.set_ylabel(second, parse_math=False)
@@ -166,9 +159,19 @@ def label_axes(ax: Axes, coordinates: list[str], unit: str) -> None:
     ax.locator_params(nbins=5)
 
 
-def legend_below(ax: Axes) -> None:
+def set_box(ax: Axes, box: tuple[float, float, float, float]) -> None:
+    """Set the limits ``(left, right, bottom, top)``; an axis of y that points down still does."""
+    left, right, bottom, top = box
+    is_down = ax.yaxis.get_inverted()
+    ax.set_xlim(left, right)
+    ax.set_ylim((top, bottom) if is_down else (bottom, top))
+    ax.set_aspect("equal", adjustable="box")
+
+
+def legend_below(ax: Axes, columns: int = 3) -> None:
     """Put the legend below the axes, where it hides nothing."""
-    ax.legend(frameon=False, fontsize=9, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=3)
+    place = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.16), "ncols": columns}
+    ax.legend(frameon=False, fontsize=9, **place)
 
 
 def label_outer(grid: npt.NDArray[Any]) -> None:
@@ -200,3 +203,65 @@ class _PlainLogFormatter(LogFormatter):
 def whole_numbers(ax: Axes) -> None:
     """Let the x axis have ticks at whole numbers only."""
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+
+
+def save_figure(figure: Figure, path: Path | str, width: float | str | None = None) -> None:
+    """Write a figure to a file as a paper wants it.
+
+    Text stays text: of TrueType fonts in PDF, of the page's fonts in SVG.
+
+    Parameters
+    ----------
+    figure
+        What any ``plot_`` function returned first.
+    path
+        Ends in ``.pdf``, ``.svg`` or ``.png`` (300 dots per inch). A file of that name is replaced.
+    width
+        In millimetres, ``85`` or ``"85mm"``; the height follows, and sizes of letters stay.
+        Default: the figure's own.
+
+    Raises
+    ------
+    InputError
+        If the format or the width is none of these.
+    WorkError
+        If the file cannot be written.
+    """
+    target = Path(path)
+    format = target.suffix.lower().removeprefix(".")
+    if format not in FIGURE_FORMATS:
+        raise InputError(f"{target}: figures are written as {', '.join(FIGURE_FORMATS)}.")
+    if width is not None:
+        inches = millimetres(width) / 25.4
+        own_width, own_height = figure.get_size_inches()
+        figure.set_size_inches(inches, own_height * inches / own_width)
+    with (
+        mpl.rc_context({"pdf.fonttype": 42, "svg.fonttype": "none"}),
+        write_beside(target, overwrite=True) as temporary,
+    ):
+        figure.savefig(temporary, format=format, dpi=300)
+
+
+def millimetres(width: float | str) -> float:
+    """Return a width in millimetres from ``85``, ``"85mm"``, ``"8.5cm"`` or ``"3.3in"``.
+
+    Raises
+    ------
+    InputError
+        If it is no width.
+    """
+    text = str(width).strip().lower()
+    factor = 1.0
+    for ending, scale in (("mm", 1.0), ("cm", 10.0), ("in", 25.4)):
+        if text.endswith(ending):
+            text, factor = text.removesuffix(ending), scale
+    try:
+        value = factor * float(text)
+    except ValueError:
+        value = 0.0
+    if not LEAST_WIDTH <= value <= MOST_WIDTH:
+        raise InputError(
+            f"width: {width!r} is no width from {LEAST_WIDTH:g} to {MOST_WIDTH:g} mm. Write 85mm, "
+            "8.5cm or 3.3in."
+        )
+    return value

@@ -1,6 +1,6 @@
 """Paths of the individuals: whole, at some times, and from random starts."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,9 @@ from swarmssm.analysis.plots.style import (
     label_outer,
     new_axes,
     new_grid,
+    set_box,
 )
+from swarmssm.errors import InputError
 
 __all__ = ["plot_imitation", "plot_random_starts", "plot_snapshots", "plot_trajectories"]
 
@@ -26,18 +28,24 @@ MANY_ARROWS = 100
 
 
 def plot_trajectories(
-    position: xr.DataArray, ax: Axes | None = None, *, unit: str = "", title: str = "", **line: Any
+    position: xr.Dataset | xr.DataArray,
+    ax: Axes | None = None,
+    *,
+    attributes: Mapping[str, Any] | None = None,
+    title: str = "",
+    **line: Any,
 ) -> tuple[Figure, Axes]:
     """Draw each individual's path, a dot where it ends.
 
     Parameters
     ----------
     position
-        ``(time, individual, space)`` in any order; in 3-D the first two coordinates are drawn.
+        Tracks without trials, or positions ``(time, individual, space)`` in any order; in 3-D the
+        first two coordinates are drawn.
     ax
         Where to draw; new axes if absent.
-    unit
-        Unit of length.
+    attributes
+        ``unit`` of length and ``y_axis``, as ``tracks.attrs`` have them. Default: those of tracks.
     title
         Title of the axes.
     **line
@@ -48,6 +56,12 @@ def plot_trajectories(
     Figure and axes.
     """
     figure, ax = new_axes(ax, (4.2, 4.2))
+    if isinstance(position, xr.Dataset):
+        attributes = position.attrs if attributes is None else attributes
+        position = position["position"]
+    attributes = attributes or {}
+    if "trial" in position.dims:
+        raise InputError("position: it has trials. Choose one: tracks.isel(trial=0).")
     paths = position.transpose("time", "individual", "space").to_numpy()
     many = paths.size > MANY_POINTS
     style = {"linewidth": 0.6 if many else 1.0, "alpha": 0.8, "rasterized": many} | line
@@ -64,7 +78,7 @@ def plot_trajectories(
     ax.scatter(
         ends[ended, 0], ends[ended, 1], c=dots, s=dot_size(len(dots), 12.0), linewidths=0, zorder=3
     )
-    label_axes(ax, [str(name) for name in position["space"].values], unit)
+    label_axes(ax, position["space"].to_numpy(), attributes)
     ax.set_title(title, fontsize=10)
     return figure, ax
 
@@ -92,7 +106,7 @@ def plot_imitation(
         "free_run": "imitated, running freely",
     }
     for ax, (name, title) in zip(grid[0], titles.items(), strict=True):
-        plot_trajectories(imitation[name], ax, unit=imitation.attrs.get("unit", ""), title=title)
+        plot_trajectories(imitation[name], ax, attributes=imitation.attrs, title=title)
     _same_limits(grid[0], [imitation[name] for name in titles])
     label_outer(grid)
     return figure, grid[0]
@@ -119,7 +133,6 @@ def plot_snapshots(
     num_times = imitation.sizes["time"]
     rows = np.unique(np.linspace(0, num_times - 1, min(count, num_times)).round().astype(int))
     figure, grid = new_grid(axes, 2, len(rows), (2.4 * len(rows), 5.0))
-    unit = imitation.attrs.get("unit", "")
     for line, (name, word) in zip(grid, (("true", "true"), ("free_run", "free run")), strict=True):
         for ax, row in zip(line, rows, strict=True):
             seconds = float(imitation["time"][row])
@@ -127,7 +140,7 @@ def plot_snapshots(
                 ax,
                 imitation[name].isel(time=row),
                 imitation[f"{name}_velocity"].isel(time=row),
-                unit,
+                imitation.attrs,
             )
             ax.set_title(f"{word}, {seconds:.3g} s", fontsize=9)
         _same_limits(line, [imitation[name].isel(time=rows) for name in ("true", "free_run")])
@@ -155,8 +168,8 @@ def plot_random_starts(
     figure, grid = new_grid(axes, 1, count, (2.5 * count, 3.0))
     for index, ax in enumerate(grid[0]):
         run = runs.isel(run=index)
-        unit = runs.attrs.get("unit", "")
-        plot_trajectories(run["position"], ax, unit=unit, title=f"start {index + 1}", alpha=0.6)
+        title = f"start {index + 1}"
+        plot_trajectories(run["position"], ax, attributes=runs.attrs, title=title, alpha=0.6)
         ax.plot(
             run["position"].isel(time=0, space=0),
             run["position"].isel(time=0, space=1),
@@ -171,7 +184,9 @@ def plot_random_starts(
     return figure, grid[0]
 
 
-def _draw_headings(ax: Axes, position: xr.DataArray, velocity: xr.DataArray, unit: str) -> None:
+def _draw_headings(
+    ax: Axes, position: xr.DataArray, velocity: xr.DataArray, attributes: Mapping[str, Any]
+) -> None:
     """Draw each individual with an arrow along its velocity."""
     place = position.transpose("individual", "space").to_numpy()[:, :2]
     speed = velocity.transpose("individual", "space").to_numpy()[:, :2]
@@ -196,7 +211,7 @@ def _draw_headings(ax: Axes, position: xr.DataArray, velocity: xr.DataArray, uni
             width=0.006 if crowd else 0.012,
             rasterized=crowd,
         )
-    label_axes(ax, [str(name) for name in position["space"].values], unit)
+    label_axes(ax, position["space"].to_numpy(), attributes)
 
 
 def _same_limits(axes: Sequence[Axes], arrays: Sequence[xr.DataArray]) -> None:
@@ -211,6 +226,4 @@ def _same_limits(axes: Sequence[Axes], arrays: Sequence[xr.DataArray]) -> None:
     half = 0.6 * max(float((high - low).max()), 1e-9)
     middle = (low + high) / 2
     for ax in axes:
-        ax.set_xlim(middle[0] - half, middle[0] + half)
-        ax.set_ylim(middle[1] - half, middle[1] + half)
-        ax.set_aspect("equal", adjustable="box")
+        set_box(ax, (middle[0] - half, middle[0] + half, middle[1] - half, middle[1] + half))

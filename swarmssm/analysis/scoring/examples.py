@@ -7,7 +7,7 @@ import xarray as xr
 from swarmssm.analysis.posterior.subject import Subject
 from swarmssm.analysis.scoring.forecasters import Forecaster, diverged
 from swarmssm.inference.prediction import seeded
-from swarmssm.tracks import Array
+from swarmssm.tracks import Array, spatial_attributes
 
 __all__ = ["graph_snapshots", "imitation", "random_starts"]
 
@@ -46,7 +46,7 @@ def imitation(subject: Subject, forecaster: Forecaster, one_step: Array, seed: i
         "individual": subject.tracks["individual"].to_numpy(),
     }
     label = str(subject.tracks["trial"].to_numpy()[trial])
-    return xr.Dataset(data, coords, {"trial": label, "unit": subject.tracks.attrs["unit"]})
+    return xr.Dataset(data, coords, {"trial": label, **spatial_attributes(subject.tracks)})
 
 
 def graph_snapshots(subject: Subject, probability: Array | None) -> xr.Dataset:
@@ -79,7 +79,7 @@ def graph_snapshots(subject: Subject, probability: Array | None) -> xr.Dataset:
             "individual": names,
             "neighbor": names,
         },
-        {"unit": subject.tracks.attrs["unit"]},
+        spatial_attributes(subject.tracks),
     )
 
 
@@ -121,5 +121,5 @@ def random_starts(subject: Subject, edges: str, *, steps: int, seed: int) -> xr.
             "space": subject.tracks["space"].to_numpy(),
             "individual": subject.tracks["individual"].to_numpy(),
         },
-        {"unit": subject.tracks.attrs["unit"]},
+        spatial_attributes(subject.tracks),
     )

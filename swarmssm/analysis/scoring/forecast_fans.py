@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 
 from swarmssm.errors import InputError
-from swarmssm.tracks import Array, validate_tracks, with_trials
+from swarmssm.tracks import Array, spatial_attributes, validate_tracks, with_trials
 
 __all__ = ["forecast_fan", "sentence"]
 
@@ -124,7 +124,7 @@ def forecast_fan(
             "behind": ("before", np.arange(1 - history, 1) / fps, {"units": "s"}),
             "start": ("trial", forecast["history_end"].to_numpy(), {"units": "s"}),
         },
-        {"unit": unit["units"], "fps": fps},
+        {**spatial_attributes(tracks), "fps": fps},
     )
 
 

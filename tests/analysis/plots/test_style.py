@@ -3,10 +3,14 @@
 import io
 
 import numpy as np
+import pytest
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
-from swarmssm.analysis.plots.style import paint_ground
+from swarmssm.analysis.plots import plot_tracks, plot_trajectories
+from swarmssm.analysis.plots.style import millimetres, new_axes, paint_ground, save_figure
+from swarmssm.errors import InputError
+from swarmssm.tracks import make_tracks
 
 
 def test_the_ground_stays_in_a_transparent_figure():
@@ -21,3 +25,48 @@ def test_the_ground_stays_in_a_transparent_figure():
     # Outside the axes there is nothing.
     assert pixels[2, 2, 3] == 0.0
     assert ax.get_xlim() == (0.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("ending", "start"), [("pdf", b"%PDF"), ("svg", b"<?xml"), ("png", b"\x89PNG")]
+)
+def test_a_figure_is_saved_at_a_width(tmp_path, ending, start):
+    figure, ax = new_axes(None, (6.0, 3.0))
+    ax.set_xlabel("distance (cm)")
+    path = tmp_path / f"figure.{ending}"
+    save_figure(figure, path, width="85mm")
+    content = path.read_bytes()
+    assert content.startswith(start)
+    np.testing.assert_allclose(figure.get_size_inches(), [85 / 25.4, 42.5 / 25.4])
+    if ending == "pdf":
+        assert b"/Type3" not in content
+        assert b"/TrueType" in content or b"/CIDFontType2" in content
+    if ending == "svg":
+        assert b"distance (cm)</text>" in content
+    assert [file.name for file in tmp_path.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize("width", ["85", 85, "85 mm", "8.5cm", "3.3464567in"])
+def test_widths(width):
+    assert millimetres(width) == pytest.approx(85.0)
+
+
+def test_what_is_no_figure_is_named(tmp_path):
+    figure, _ = new_axes(None)
+    with pytest.raises(InputError, match=r"figure\.jpg: figures are written as pdf, svg, png"):
+        save_figure(figure, tmp_path / "figure.jpg")
+    for width in ("wide", "nan", -5, "3mm"):
+        with pytest.raises(InputError, match="width"):
+            save_figure(figure, tmp_path / "figure.pdf", width)
+
+
+@pytest.mark.parametrize("y_axis", ["up", "down"])
+def test_space_is_drawn_as_the_recording_shows_it(y_axis):
+    position = np.random.default_rng(0).normal(size=(20, 3, 2)).cumsum(0)
+    tracks = make_tracks(position, fps=10, unit="px", attrs={"y_axis": y_axis})
+    _, paths = plot_trajectories(tracks)
+    _, moment = plot_tracks(tracks)
+    for ax in (paths, moment):
+        bottom, top = ax.get_ylim()
+        assert bool(bottom > top) is (y_axis == "down")
+        assert ax.get_ylabel() == "y (px)"

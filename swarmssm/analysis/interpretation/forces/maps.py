@@ -33,7 +33,7 @@ from swarmssm.analysis.posterior.accelerations import (
 from swarmssm.errors import InputError
 from swarmssm.graphs import nearest_distances
 from swarmssm.inference import Fit
-from swarmssm.tracks import Array, states_of, validate_tracks, with_trials
+from swarmssm.tracks import Array, spatial_attributes, states_of, validate_tracks, with_trials
 
 __all__ = [
     "default_extent",
@@ -136,8 +136,8 @@ def force_map(
 
     Returns
     -------
-    Dataset over ``front_back`` (positive ahead) and ``left_right`` (positive to the right, where y
-    grows upwards), the middles of the bins:
+    Dataset over ``front_back`` (positive ahead) and ``left_right`` (positive to the right of the
+    animal, as the recording's ``y_axis`` has it), the middles of the bins:
 
     ``turning``
         Mean acceleration to the right of the heading, length unit per second squared.
@@ -165,6 +165,7 @@ def force_map(
     motion = acceleration_model(fit)
     if paths is None:
         paths = posterior_paths(fit, tracks, draws, seed)
+    mirror = _towards_up(tracks)
     total = paths.present.shape[0] * paths.present.shape[1]
     sums = []
     with torch.no_grad():
@@ -178,9 +179,9 @@ def force_map(
                     there: Any = (frames.present[:, :, None] & frames.present[:, None]).numpy()
                     if neighbors == "seen":
                         there &= seen_graph(fit, frames).numpy() > 0
-                    yield Portion(
-                        frames.rows, frames.states.numpy(), acceleration.double().numpy(), there
-                    )
+                    states = frames.states.numpy() * mirror
+                    own = acceleration.double().numpy() * mirror[:2]
+                    yield Portion(frames.rows, states, own, there)
 
             sums.append(binned(portions(), total, bins, extent, symmetric))
     return labelled(sums, bins, extent, symmetric, neighbors, unit_of(paths.tracks), "model")
@@ -232,6 +233,7 @@ def raw_force_map(
         )
     if extent is None:
         extent = default_extent(tracks)
+    mirror = _towards_up(tracks)
     fps = float(tracks.attrs["fps"])
     position = states_of(tracks)[..., :2]
     window = shortest_window(position, fps) if window is None else checked_window(window)
@@ -253,11 +255,17 @@ def raw_force_map(
             there = moves[:, :, None] & known[:, None]
             if seen is not None:
                 there &= seen[rows]
-            yield Portion(rows, states[rows], acceleration[rows], there)
+            yield Portion(rows, states[rows] * mirror, acceleration[rows] * mirror[:2], there)
 
     sums = [binned(portions(), len(states), bins, extent, symmetric)]
     found = labelled(sums, bins, extent, symmetric, neighbors, unit_of(tracks), "raw")
     return found.assign_attrs(window=window)
+
+
+def _towards_up(tracks: xr.Dataset) -> Array:
+    """Return factors of ``[x, y, vx, vy]`` after which y grows upwards, and right is right."""
+    sign = -1.0 if spatial_attributes(tracks).get("y_axis") == "down" else 1.0
+    return np.array([1.0, sign, 1.0, sign])
 
 
 def default_extent(tracks: xr.Dataset) -> float:

@@ -36,7 +36,7 @@ from swarmssm.analysis.posterior.intervals import QUANTILES, known_mean, quantil
 from swarmssm.inference import Fit
 from swarmssm.models import StateSpaceModel
 from swarmssm.models.transitions.protocols import PairKernels
-from swarmssm.tracks import Array
+from swarmssm.tracks import Array, spatial_attributes
 
 __all__ = [
     "TERMS",
@@ -172,7 +172,7 @@ def posterior_forces(
         {
             "source": "model" if motion.terms else "projection",
             "model": fit.settings.model,
-            "unit": unit,
+            **spatial_attributes(paths.tracks),
             "neighbor_terms": [*NEIGHBOR_TERMS, *_pair_forces(fit, terms)],
         },
     )

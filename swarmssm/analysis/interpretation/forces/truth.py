@@ -8,7 +8,7 @@ from swarmssm.analysis.interpretation.forces.posterior import FORCE_DIMS, PLACES
 from swarmssm.analysis.posterior.intervals import quantiles
 from swarmssm.errors import InputError
 from swarmssm.simulate import law_of
-from swarmssm.tracks import Array, states_of, validate_tracks, with_trials
+from swarmssm.tracks import Array, spatial_attributes, states_of, validate_tracks, with_trials
 
 __all__ = ["force_agreement", "true_forces"]
 
@@ -71,7 +71,7 @@ def true_forces(tracks: xr.Dataset) -> xr.Dataset:
     return xr.Dataset(
         {"force": (FORCE_DIMS, out, attrs)},
         {"term": list(TERMS), **labels_of(tracks, *FORCE_DIMS[:-1])},
-        {"source": "truth", "unit": unit_of(tracks)},
+        {"source": "truth", **spatial_attributes(tracks)},
     )
 
 

@@ -11,7 +11,7 @@ import xarray as xr
 
 from swarmssm.errors import InputError
 from swarmssm.graphs import GraphRule, headings_from_velocity
-from swarmssm.tracks import Array, states_of, validate_tracks, with_trials
+from swarmssm.tracks import Array, spatial_attributes, states_of, validate_tracks, with_trials
 
 __all__ = [
     "FLAT",
@@ -65,6 +65,8 @@ class Scene:
         Whether a third coordinate was left out.
     rate
         Frames per second of the recording that are in the scene.
+    y_axis
+        ``"down"`` where the second coordinate grows downwards in the picture.
     """
 
     time: Array
@@ -77,6 +79,7 @@ class Scene:
     space: tuple[str, str]
     flat: bool
     rate: float
+    y_axis: str = "up"
 
 
 class Choice(TypedDict, total=False):
@@ -359,6 +362,7 @@ def _scene(
         (names[0], names[1]),
         len(names) > 2,
         float(tracks.attrs["fps"]) / every,
+        spatial_attributes(tracks).get("y_axis", "up"),
     )
 
 

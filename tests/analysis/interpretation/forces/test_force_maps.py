@@ -54,6 +54,23 @@ def test_a_pair_by_hand(
     assert found["turning"].attrs["units"] == "cm/s^2"
 
 
+def test_right_is_right_where_y_grows_downwards(make_fit: Make, make_law: Make) -> None:
+    """In a video, who swims to the right and has another below it, has it to its right."""
+    tracks = pair((1.0, 0.0), (0.0, 2.0)).assign_attrs(y_axis="down")
+    fit = make_fit(tracks, make_law(separation_gain=0.0, alignment_gain=0.0))
+    found = force_map(fit, tracks, draws=1, bins=5, extent=2.5, symmetric=False)
+    assert found["count"].sum() == 2
+    there = found.sel(left_right=2.0, front_back=0.0)
+    assert float(there["turning"]) == pytest.approx(1.0, abs=1e-5)
+    walk = np.random.default_rng(0).normal(size=(200, 4, 2)).cumsum(0)
+    up = make_tracks(walk, fps=10)
+    options = {"bins": 5, "extent": 20.0, "symmetric": False, "window": 5}
+    one, other = (raw_force_map(t, **options) for t in (up, up.assign_attrs(y_axis="down")))
+    assert float(abs(one["turning"]).sum()) > 0
+    np.testing.assert_allclose(other["turning"], -one["turning"][:, ::-1])
+    np.testing.assert_allclose(other["speeding"], one["speeding"][:, ::-1])
+
+
 def test_map_of_a_pull_is_the_place_itself(make_fit: Make, make_law: Make) -> None:
     pull: dict[str, Any] = {"separation_gain": 0.0, "alignment_gain": 0.0}
     tracks = simulate.simulate_boids(
