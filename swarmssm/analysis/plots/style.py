@@ -170,8 +170,8 @@ def set_box(ax: Axes, box: tuple[float, float, float, float]) -> None:
 
 def legend_below(ax: Axes, columns: int = 3) -> None:
     """Put the legend below the axes, where it hides nothing."""
-    place = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.16), "ncols": columns}
-    ax.legend(frameon=False, fontsize=9, **place)
+    below = (0.5, -0.16)
+    ax.legend(frameon=False, fontsize=9, loc="upper center", bbox_to_anchor=below, ncols=columns)
 
 
 def label_outer(grid: npt.NDArray[Any]) -> None:
