@@ -110,12 +110,18 @@ def imports(root: Path, *folders: str) -> list[Import]:
     """Return every import written in the Python files of the folders."""
     modules = sources(root, *folders)
     found = []
-    for module, path in modules.items():
+    # What a lazily loaded package offers stands in a stub beside it, and is imported on demand.
+    stubs = {
+        module: path.with_suffix(".pyi")
+        for module, path in modules.items()
+        if path.with_suffix(".pyi").exists()
+    }
+    for module, path in [*modules.items(), *stubs.items()]:
         package = module if path.stem == "__init__" else module.rpartition(".")[0]
         for node, runs in nodes_with_runs(ast.parse(path.read_text(encoding="utf-8"), str(path))):
             for target in targets_of(node, package, modules):
                 place = f"{path.relative_to(root)}:{node.lineno}"
-                found.append(Import(module, place, target, runs))
+                found.append(Import(module, place, target, runs and path.suffix == ".py"))
     return found
 
 
@@ -135,9 +141,11 @@ def unplaced(root: Path) -> list[str]:
 
 def upward(root: Path) -> list[str]:
     found = []
-    for module, place, target, _ in imports(root, PACKAGE):
+    for module, place, target, runs in imports(root, PACKAGE):
         if target.split(".")[0] != PACKAGE:
             continue
+        if module == PACKAGE and not runs:
+            continue  # The face of the package offers what stands above, and loads it on demand.
         own, other = floor_of(module), floor_of(target)
         if own is not None and other is not None and other > own:
             found.append(f"{place}: floor {own} ({module}) imports floor {other} ({target})")
@@ -183,6 +191,23 @@ def circles(root: Path) -> list[str]:
         # The sorter lists a circle from the imported to the importing module.
         return [" imports ".join(reversed(error.args[1]))]
     return []
+
+
+def shadowed(root: Path) -> list[str]:
+    """Return modules that their package hides behind an object of the same name."""
+    modules = sources(root, PACKAGE)
+    found = []
+    for module, path in modules.items():
+        texts = [path, path.with_suffix(".pyi")] if path.stem == "__init__" else []
+        for text in filter(Path.exists, texts):
+            for node in ast.parse(text.read_text(encoding="utf-8")).body:
+                if not isinstance(node, ast.ImportFrom):
+                    continue
+                base = f"{module}.{node.module}" if node.level and node.module else node.module
+                hidden = {f"{module}.{alias.asname or alias.name}" for alias in node.names}
+                if base not in (None, module):
+                    found += [f"{name}: an object hides it" for name in sorted(hidden & {*modules})]
+    return found
 
 
 CHECKS = [unplaced, upward, pyro_too_low, through_links, drawers, circles]
@@ -277,6 +302,21 @@ def test_a_sound_house_has_no_complaint(planted):
 )
 def test_an_upward_import_is_found(planted, where, text, complaint):
     assert upward(planted({where: text})) == [complaint]
+
+
+def test_a_stub_counts_as_what_it_offers(planted):
+    """The face of the package may offer any floor; a lazy package within it only those below."""
+    face = planted({"swarmssm/__init__.pyi": "from .models import Model\n"})
+    assert upward(face) == []
+    room = planted(
+        {
+            "swarmssm/io/__init__.py": "",
+            "swarmssm/io/__init__.pyi": "from ..models import Model\n",
+        }
+    )
+    assert upward(room) == [
+        "swarmssm/io/__init__.pyi:1: floor 1 (swarmssm.io) imports floor 2 (swarmssm.models)"
+    ]
 
 
 def test_a_module_without_a_floor_is_found(planted):

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Any, ClassVar
 
 import numpy as np
-import scipy.optimize
+import scipy
 
 from swarmssm.analysis.scoring.baseline import Baseline, Training
 from swarmssm.baselines.jump_filter import JumpModel

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-import scipy.optimize
+import scipy
 
 from swarmssm.analysis.scoring.baseline import Training
 from swarmssm.baselines.library import monomials, sparse_coefficients

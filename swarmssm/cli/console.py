@@ -94,10 +94,11 @@ def print_all_scores(result: "Evaluation", thesis: str | None = None) -> None:
     """Print all scores of an evaluation, and those that the thesis prints if asked."""
     from swarmssm import analysis
     from swarmssm.analysis.scoring.table import format_unit
+    from swarmssm.analysis.scoring.thesis import FOOTNOTE
 
     print_rows("one step, free runs and edges", analysis.scores_table(result, thesis))
     if thesis is not None:
-        say(analysis.THESIS_FOOTNOTE)
+        say(FOOTNOTE)
     print_rows("squared error at each step ahead, scaled states", analysis.horizon_table(result))
     print_rows(
         "log score of positions at each step ahead, nats per coordinate (higher is better)",

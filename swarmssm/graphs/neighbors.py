@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import scipy.spatial
+import scipy
 import torch
 from torch import Tensor
 

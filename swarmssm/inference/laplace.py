@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pyro
-import scipy.optimize
+import scipy
 import torch
 from torch import Tensor
 from torch.distributions import biject_to

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-import scipy.spatial
+import scipy
 
 from swarmssm.errors import InputError
 from swarmssm.metrics.masked import Array, as_array, check_same_shape, ratio

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-import scipy.spatial
+import scipy
 
 from swarmssm.errors import InputError
 from swarmssm.metrics.masked import (

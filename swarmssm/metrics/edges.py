@@ -7,7 +7,7 @@ warning, and no 0 or 1 by convention.
 
 import numpy as np
 import numpy.typing as npt
-import scipy.stats
+import scipy
 
 from swarmssm.errors import InputError
 from swarmssm.metrics.masked import Array, Mask, as_array, check_same_shape, ratio

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-import scipy.special
+import scipy
 
 __all__ = ["gaussian_log_score", "mixture_log_score", "moments_of_draws"]
 

@@ -9,9 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-import scipy.stats
-import scoringrules
-from scipy.spatial.distance import pdist
+import scipy
 
 __all__ = [
     "ensemble_crps",
@@ -59,6 +57,8 @@ def ensemble_crps(truth: Array, draws: Array) -> Array:
     # About the truth, so that places far from the origin lose no digits.
     apart = np.moveaxis(draws[:, known] - np.broadcast_to(truth, draws.shape[1:])[known], 0, -1)
     with np.errstate(over="ignore", invalid="ignore"):
+        import scoringrules  # compiles its loops at import
+
         scores = scoringrules.crps_ensemble(
             np.zeros(len(apart)), apart, estimator="pwm", backend="numpy"
         )
@@ -87,6 +87,8 @@ def gaussian_crps(truth: Array, mean: Array, sd: Array) -> Array:
     error, spread = np.broadcast_arrays(truth - mean, sd)
     out = np.array(np.abs(error))
     inside = np.isfinite(error) & (spread > 0)
+    import scoringrules  # compiles its loops at import
+
     out[inside] = scoringrules.crps_normal(
         error[inside], np.zeros(int(inside.sum())), spread[inside], backend="numpy"
     )
@@ -127,7 +129,7 @@ def ensemble_energy_score(truth: Array, draws: Array) -> Array:
     apart = np.moveaxis(draws[:, known] - np.broadcast_to(truth, draws.shape[1:])[known], 0, 1)
     with np.errstate(over="ignore", invalid="ignore"):
         near = np.sqrt((apart**2).sum(-1)).mean(-1)
-        spread = np.array([pdist(points).sum() for points in apart])
+        spread = np.array([scipy.spatial.distance.pdist(points).sum() for points in apart])
         out[known] = _broken_down(near - spread / (count * (count - 1)))
     return out
 

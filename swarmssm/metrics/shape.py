@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-import scipy.spatial
+import scipy
 
 from swarmssm.metrics.masked import Array, as_array, known, masked_mean, ratio
 

@@ -1,5 +1,8 @@
 """Generative models of swarms: distributions, layers, priors."""
 
+if __name__ != "swarmssm.models":
+    raise ImportError("Write swarmssm.models: models at the root of a checkout is but a link.")
+
 from swarmssm.models.base import NextStep, OneStepModel, SwarmModel
 from swarmssm.models.batch import SwarmBatch
 from swarmssm.models.description import PartDescription, describe_model

@@ -2,7 +2,7 @@
 
 import numpy as np
 import numpy.typing as npt
-import scipy.optimize
+import scipy
 import xarray as xr
 
 from swarmssm.errors import InputError

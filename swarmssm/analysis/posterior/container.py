@@ -3,10 +3,13 @@
 from collections.abc import Mapping
 from typing import Any
 
-import arviz
+import lazy_loader
 import xarray as xr
 
 __all__ = ["container_of"]
+
+#: Imported when it is first used, since that takes seconds.
+arviz = lazy_loader.load("arviz")
 
 
 def container_of(groups: Mapping[str, xr.Dataset], attrs: Mapping[str, Any]) -> Any:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import scipy.stats
+import scipy
 import xarray as xr
 
 from swarmssm.analysis.posterior.intervals import QUANTILES

@@ -4,14 +4,17 @@ import math
 import warnings
 from dataclasses import dataclass
 
-import arviz
+import lazy_loader
 import numpy as np
 import numpy.typing as npt
-import scipy.special
+import scipy
 
 from swarmssm.tracks import Array
 
 __all__ = ["LeftOut", "good_k", "psis_lfo", "psis_loo"]
+
+#: Imported when it is first used, since that takes seconds.
+arviz = lazy_loader.load("arviz")
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 import torch
-from scipy.linalg import lapack
 from torch import Tensor
 
 __all__ = ["mean_paths"]
@@ -101,7 +101,7 @@ class _Bands:
         own[:, :-1] -= self.here * pulled
         back[:, :-1] += self.before * pulled
         right = _rows(len(self.factor.T), own, back, self.place, self.enters, self.there)
-        path, _ = lapack.dpbtrs(self.factor, right, lower=1, overwrite_b=1)
+        path, _ = scipy.linalg.lapack.dpbtrs(self.factor, right, lower=1, overwrite_b=1)
         position = path[self.place]
         velocity = (position - path[self.place - 1]) / self.dt
         return position * self.there, velocity * self.there
@@ -146,7 +146,7 @@ def _factorised(
     bands[place[~there], 0] = 1.0
     bands[place - 1, 1] = link
     bands[place[:, :-1] - 1, 2] = weight * before / dt
-    factor, failed = lapack.dpbtrf(bands.T, lower=1, overwrite_ab=1)
+    factor, failed = scipy.linalg.lapack.dpbtrf(bands.T, lower=1, overwrite_ab=1)
     if failed:
         return None
     return _Bands(factor, place, persists, arrives, there, weight, here, before, dt)

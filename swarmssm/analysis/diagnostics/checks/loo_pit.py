@@ -7,7 +7,7 @@ it asks where in its forecast the sighting falls.
 
 import warnings
 
-import arviz
+import lazy_loader
 import numpy as np
 import xarray as xr
 
@@ -20,6 +20,9 @@ from swarmssm.inference import Fit
 from swarmssm.tracks import Array
 
 __all__ = ["loo_pit", "weighted_pit"]
+
+#: Imported when it is first used, since that takes seconds.
+arviz = lazy_loader.load("arviz")
 
 
 def loo_pit(

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import scipy.special
+import scipy
 import xarray as xr
 
 from swarmssm.analysis.diagnostics.sbc.ranks import calibration_of_ranks

@@ -1,0 +1,136 @@
+from . import diagnostics, interpretation, plots, posterior, report, scoring
+from .diagnostics.checks import (
+    STATISTICS,
+    Statistic,
+    Swarm,
+    check,
+    loo_pit,
+    one_step_pit,
+)
+from .diagnostics.recovery.study import recovery
+from .diagnostics.sbc.study import sbc
+from .interpretation.analyze import analyze
+from .interpretation.forces import (
+    force_agreement,
+    force_map,
+    force_maps,
+    force_summary,
+    posterior_forces,
+    raw_force_map,
+    true_forces,
+)
+from .interpretation.inferred_edges import inferred_edges
+from .interpretation.influence import find_isolated, find_leader, leadership_delays
+from .interpretation.kernels import (
+    interaction_kernels,
+    kernel_agreement,
+    true_kernels,
+)
+from .interpretation.latents import latent_force_alignment
+from .interpretation.result import Analysis
+from .plots.scenes import free_run, scenes_of, with_free_run
+from .posterior import (
+    pointwise_log_likelihood,
+    to_inference_data,
+    window_log_likelihood,
+)
+from .posterior.accelerations import (
+    AccelerationModel,
+    PosteriorPaths,
+    acceleration_model,
+    posterior_paths,
+)
+from .report import (
+    analysis_page,
+    build_report,
+    full_section,
+    gathered_page,
+    report_analysis,
+    report_gathered,
+    report_run,
+    write_report,
+)
+from .scoring import (
+    Comparison,
+    Evaluation,
+    compare,
+    evaluate,
+    paired_difference,
+    score,
+    score_intervals,
+    score_table,
+    skill,
+    summary,
+    verdict,
+)
+from .scoring.forecast_fans import forecast_fan
+from .scoring.table import format_number
+from .scoring.thesis_scores import edge_table, horizon_table, scores_table
+
+__all__ = [
+    "STATISTICS",
+    "AccelerationModel",
+    "Analysis",
+    "Comparison",
+    "Evaluation",
+    "PosteriorPaths",
+    "Statistic",
+    "Swarm",
+    "acceleration_model",
+    "analysis_page",
+    "analyze",
+    "build_report",
+    "check",
+    "compare",
+    "diagnostics",
+    "edge_table",
+    "evaluate",
+    "find_isolated",
+    "find_leader",
+    "force_agreement",
+    "force_map",
+    "force_maps",
+    "force_summary",
+    "forecast_fan",
+    "format_number",
+    "free_run",
+    "full_section",
+    "gathered_page",
+    "horizon_table",
+    "inferred_edges",
+    "interaction_kernels",
+    "interpretation",
+    "kernel_agreement",
+    "latent_force_alignment",
+    "leadership_delays",
+    "loo_pit",
+    "one_step_pit",
+    "paired_difference",
+    "plots",
+    "pointwise_log_likelihood",
+    "posterior",
+    "posterior_forces",
+    "posterior_paths",
+    "raw_force_map",
+    "recovery",
+    "report",
+    "report_analysis",
+    "report_gathered",
+    "report_run",
+    "sbc",
+    "scenes_of",
+    "score",
+    "score_intervals",
+    "score_table",
+    "scores_table",
+    "scoring",
+    "skill",
+    "summary",
+    "to_inference_data",
+    "true_forces",
+    "true_kernels",
+    "verdict",
+    "window_log_likelihood",
+    "with_free_run",
+    "write_report",
+]
