@@ -94,7 +94,7 @@ def kernel_scores(fit: Fit, tracks: xr.Dataset, draws: int) -> None:
         values = {
             str(name): torch.as_tensor(drawn[name].to_numpy()[draw]) for name in drawn.data_vars
         }
-        with fit.given(values), torch.no_grad():
+        with fit.with_parameters(values), torch.no_grad():
             for name, curve in fit.model.transition.kernels(grid.float()).items():
                 found.setdefault(name, []).append(curve.numpy())
     truth = {

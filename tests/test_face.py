@@ -34,7 +34,9 @@ def test_nothing_is_imported_before_it_is_needed():
 def test_the_introduction_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     block = inspect.cleandoc(sw.__doc__).split("::\n\n")[1].split("\n\n")
-    lines = inspect.cleandoc("\n\n".join(block[:2])).replace("steps=200", "steps=60")
+    lines = inspect.cleandoc("\n\n".join(block[:2])).replace(
+        "individuals=8, steps=200", "individuals=3, steps=40"
+    )
     assert len([line for line in lines.splitlines() if line.strip()]) <= 10
     exec(lines, {})
     printed = capsys.readouterr().out

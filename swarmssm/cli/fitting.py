@@ -179,7 +179,7 @@ def _print_fit(fitted: "Fit") -> None:
     best = fitted.history["validation_loss"].min()
     rows = [
         ("model", f"{fitted.settings.model} with guide {fitted.settings.guide}"),
-        ("learned numbers", f"{fitted.num_parameters}"),
+        ("parameters", f"{fitted.num_parameters} learned"),
         ("steps", f"{last['step']:.0f} in {last['epoch']:.0f} epochs, {last['seconds']:.1f} s"),
         ("loss", f"{last['loss']:.4g} nats per coordinate"),
         ("validation", "no validation part" if best != best else f"{best:.4g} at its best"),
@@ -188,11 +188,14 @@ def _print_fit(fitted: "Fit") -> None:
         scores = f"MSE {last['mse']:.3g} (4.2), MAE {last['mae']:.3g} (4.3)"
         rows.append(("one step, training part", scores))
     print_table("", ("fit", ""), rows)
-    summary = fitted.parameter_table()
+    summary = fitted.summary()
     if len(summary):
-        columns = ("parameter", "mean", "sd", "5 %", "95 %")
+        columns = ["parameter", "mean", "sd", "5 %", "95 %", "unit", "note"]
+        if not summary["note"].any():
+            summary, columns = summary.drop(columns="note"), columns[:-1]
         posterior = summary.reset_index().to_numpy().tolist()
         print_table("posterior, with 90 % intervals", columns, posterior)
+    say(fitted.convergence.verdict)
 
 
 def _hold(law: Path, model: str, edges: str, given: dict[str, Any]) -> None:

@@ -1,7 +1,9 @@
 """Guides, fitting, forecasting and checkpoints."""
 
 if __name__ != "swarmssm.inference":
-    raise ImportError("Write swarmssm.inference: inference at the root of a checkout is but a link.")
+    raise ImportError(
+        "Write swarmssm.inference: inference at the root of a checkout is but a link."
+    )
 
 from swarmssm.inference.collapsed import collapsed
 from swarmssm.inference.collapsed_fit import fit_collapsed

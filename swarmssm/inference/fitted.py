@@ -12,6 +12,7 @@ import torch
 import xarray as xr
 
 from swarmssm.errors import InputError, WorkError
+from swarmssm.inference.convergence import Convergence, convergence
 from swarmssm.inference.data import Prepared, prepare
 from swarmssm.inference.guides import OneStepGuide
 from swarmssm.inference.prediction import (
@@ -24,6 +25,7 @@ from swarmssm.inference.prediction import (
 )
 from swarmssm.inference.run_folder import Run, load_run, save_run
 from swarmssm.inference.starting import last_frames, most_complete_frames
+from swarmssm.inference.summary import describe, page, posterior_table
 from swarmssm.models import InferredEdges, OneStepModel, StateSpaceModel
 from swarmssm.models.parts import own_parameters
 from swarmssm.tracks import MAX_COORDINATE, Array, make_tracks, spatial_attributes
@@ -36,7 +38,7 @@ EDGE_SOURCES = ("decoder", "rule")
 HISTORY = 50
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Fit(Run):
     """What :func:`swarmssm.inference.fit` returns: a model with its posterior.
 
@@ -63,7 +65,7 @@ class Fit(Run):
         return take(tracks, segments)
 
     @contextlib.contextmanager
-    def given(self, values: Mapping[str, torch.Tensor]) -> Iterator[None]:
+    def with_parameters(self, values: Mapping[str, torch.Tensor]) -> Iterator[None]:
         """Let the model's parameters have given values for a while.
 
         Parameters
@@ -190,7 +192,9 @@ class Fit(Run):
             data[name] = (dims, value.numpy())
         return xr.Dataset(data, {"draw": np.arange(draws)})
 
-    def parameter_table(self, draws: int = 4000, seed: int | torch.Generator = 0) -> pd.DataFrame:
+    def summary(
+        self, draws: int = 4000, seed: int | torch.Generator = 0, entries: int = 8
+    ) -> pd.DataFrame:
         """Summarise the posterior of the parameters that have a prior.
 
         Parameters
@@ -199,28 +203,33 @@ class Fit(Run):
             Number of draws behind each row.
         seed
             Seed or generator.
+        entries
+            Numbers of which a parameter may consist to have a row for each; a longer one, such as
+            the spline coefficients of a kernel, is one row without numbers.
 
         Returns
         -------
         A row for each number, named by the parameter (and its place, for several), without the part
         of the model where that leaves no doubt; columns ``mean``, ``sd``, ``low`` and ``high``,
-        these the ends of the central 90 % interval.
+        these the ends of the central 90 % interval, ``unit`` (empty where it is not known), and
+        ``note``: that a number is fixed, that its posterior is its prior, or that it is over four
+        standard deviations of the prior away from it.
         """
         drawn = self.parameters(draws, seed)
-        names = [str(name) for name in drawn.data_vars]
-        short = [name.rpartition(".")[2] for name in names]
-        rows = {}
-        for name, own in zip(names, short, strict=True):
-            label = own if short.count(own) == 1 else name
-            values = drawn[name].to_numpy()
-            for place in np.ndindex(values.shape[1:]):
-                column = values[(slice(None), *place)]
-                index = f"[{', '.join(map(str, place))}]" if place else ""
-                low, high = np.quantile(column, [0.05, 0.95])
-                rows[label + index] = (column.mean(), column.std(), low, high)
-        columns = ["mean", "sd", "low", "high"]
-        table = pd.DataFrame.from_dict(rows, orient="index", columns=columns)
-        return table.rename_axis("parameter")
+        unit = str(self.provenance.get("data", {}).get("unit", ""))
+        return posterior_table(self.model, drawn, unit, entries)
+
+    @property
+    def convergence(self) -> Convergence:
+        """Whether the loss had come to rest when the fit ended."""
+        return convergence(self.history)
+
+    def __repr__(self) -> str:
+        rows = describe(self).items()
+        return "Fit\n" + "\n".join(f"    {name:<10}  {text}" for name, text in rows)
+
+    def _repr_html_(self) -> str:
+        return page(describe(self), self.summary())
 
     def predictive(
         self,

@@ -181,6 +181,11 @@ def fit(
         "file": str(Path(source).resolve()) if source else "",
         "source_file": str(tracks.attrs.get("source_file", "")),
         "sha256": tracks_digest(tracks),
+        "unit": str(tracks.attrs.get("unit", "")),
+        "fps": float(tracks.attrs["fps"]),
+        "trials": int(tracks.sizes.get("trial", 1)),
+        "individuals": int(tracks.sizes["individual"]),
+        "frames": int(tracks.sizes["time"]),
     }
     done = replace(run, history=pd.DataFrame(history), provenance=provenance_now(facts))
     if folder is not None and working is not None:

@@ -1,7 +1,7 @@
 """Generative models of swarms: distributions, layers, priors."""
 
 if __name__ != "swarmssm.models":
-    raise ImportError("Write swarmssm.models: models at the root of a checkout is but a link.")
+    raise ImportError("Write swarmssm.models: models at the root is but a link.")
 
 from swarmssm.models.base import NextStep, OneStepModel, SwarmModel
 from swarmssm.models.batch import SwarmBatch

@@ -166,7 +166,7 @@ def test_it_has_the_log_scores_and_the_posterior_of_named_parameters(
         index=["cohesion_gain", *(f"weight[{i}]" for i in range(30))],
     )
     monkeypatch.setattr(sections, "_pictures", lambda anchor, evaluation: [])
-    monkeypatch.setattr(Fit, "parameter_table", lambda fit: gains)
+    monkeypatch.setattr(Fit, "summary", lambda fit, entries: gains)
     fit = inference.fit("graph-vae", boids, guide="encoder", epochs=1, seed=0)
     words = Page(build_report([section_of("Run", fit, boids, evaluation)])).words()
     assert "Prior and posterior of the named parameters, with" in words

@@ -56,8 +56,8 @@ def test_equal_trial_names_are_told_apart(swarm):
 
 def test_a_fit_of_pooled_recordings_is_that_of_their_tracks(pair):
     options = {"steps": 2, "window": 10, "seed": 1, "split_by": "time"}
-    table = fit("linear", pair, **options).parameter_table()
-    pooled = fit("linear", io.as_tracks(pair), **options).parameter_table()
+    table = fit("linear", pair, **options).summary()
+    pooled = fit("linear", io.as_tracks(pair), **options).summary()
     pd.testing.assert_frame_equal(table, pooled)
 
 

@@ -148,7 +148,7 @@ def test_a_run_folder_gives_the_same_numbers(fitted, tracks, tmp_path):
 
 
 def test_parameters_have_a_table(fitted):
-    table = fitted.parameter_table(draws=2000, seed=0)
+    table = fitted.summary(draws=2000, seed=0)
     assert list(table.index) == ["gain"]
     row = table.loc["gain"]
     assert 0 < row["low"] < row["mean"] < row["high"]
@@ -194,7 +194,7 @@ def test_exact_states_are_scored_directly(tracks):
     change = torch.diff(velocity, dim=0)
     slope = float((force * change).sum() / (0.1 * force.square().sum()))
     error = float((0.1**0.5 * 0.1) / (0.1 * force.square().sum().sqrt()))
-    table = exact.parameter_table()
+    table = exact.summary()
     # The prior pulls by less than a standard error, and the noise of SVI is smaller still.
     assert abs(table.loc["gain", "mean"] - slope) < 1.5 * error
     assert 0.5 * error < table.loc["gain", "sd"] < 2 * error

@@ -34,6 +34,9 @@ from swarmssm.tracks.splits import PARTS
 
 __all__ = ["LARGEST", "TITLES", "analyze"]
 
+#: Rows of a parameter in the table of parameters, however many numbers it has.
+ALL = 10**9
+
 #: Bytes that the draws of forces may take; of longer recordings frames are left out.
 LARGEST = 200_000_000
 #: Draws of the parameters' kernels for each draw of a path.
@@ -167,7 +170,7 @@ def analyze(
         found["edges"] = inferred_edges(fit, tracks)
     if scores:
         ask("scores")
-    table = fit.parameter_table(seed=seed)
+    table = fit.summary(seed=seed, entries=ALL)[["mean", "sd", "low", "high"]]
     if len(table):
         found["parameters"] = _labelled(table)
     settings = {

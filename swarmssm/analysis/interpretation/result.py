@@ -60,7 +60,7 @@ class Analysis:
         Forecast scores of held-out frames, of the fit, other fits and simple baselines.
     parameters
         ``mean``, ``sd``, ``low`` and ``high (parameter)`` of the parameters that have a prior, see
-        :meth:`swarmssm.inference.Fit.parameter_table`.
+        :meth:`swarmssm.inference.Fit.summary`.
     settings
         Model, guide, part, draws, seed and version.
     notes

@@ -113,7 +113,7 @@ def parameter_rows(fit: Fit) -> list[dict[str, str]]:
 
     Of one that has many numbers there is a row that says so.
     """
-    table = fit.parameter_table()
+    table = fit.summary(entries=10**9)
     columns = {"mean": "mean", "sd": "sd", "5 %": "low", "95 %": "high"}
     blank = dict.fromkeys(columns, NOTHING)
     sizes = Counter(str(name).partition("[")[0] for name in table.index)

@@ -7,6 +7,7 @@ import torch
 from swarmssm.models.emissions.base import Observes
 from swarmssm.models.emissions.noisy import NoisyEmission, Tails
 from swarmssm.models.layers import check_sizes
+from swarmssm.models.units import Dimension
 
 __all__ = ["PositionEmission", "StateEmission"]
 
@@ -27,6 +28,8 @@ class PositionEmission(NoisyEmission):
 
     observes: Observes = "positions"
     is_linear: ClassVar[bool] = True
+    #: See :mod:`swarmssm.models.units`.
+    dimensions: ClassVar[dict[str, Dimension]] = {"noise": (1, 0), "excess_degrees": (0, 0)}
 
     def __init__(
         self, space: int, noise: Any, *, tails: Tails = "gaussian", excess_degrees: Any = 2.0
@@ -62,6 +65,10 @@ class StateEmission(NoisyEmission):
 
     observes: Observes = "states"
     is_linear: ClassVar[bool] = True
+    dimensions: ClassVar[dict[str, Dimension]] = {
+        **PositionEmission.dimensions,
+        "velocity_noise": (1, -1),
+    }
 
     def __init__(
         self,

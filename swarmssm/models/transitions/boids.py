@@ -13,6 +13,7 @@ from swarmssm.models.transitions.boids_pairs import BoidsPairs
 from swarmssm.models.transitions.force import ForceTransition, Noise, PairDerivative
 from swarmssm.models.transitions.perception import perceive, sight
 from swarmssm.models.transitions.protocols import Form, PairKernel, View
+from swarmssm.models.units import Dimension
 
 __all__ = ["BoidsTransition"]
 
@@ -128,6 +129,21 @@ class BoidsTransition(ForceTransition):
             min_speed=min_speed,
             max_speed=max_speed,
         )
+
+    @property
+    def dimensions(self) -> dict[str, Dimension]:
+        """See :attr:`ForceTransition.dimensions`; separation has a unit where n is known."""
+        time = self.force_time
+        own: dict[str, Dimension] = {
+            "cohesion_gain": (0, -1 - time),
+            "alignment_gain": (0, -time),
+            "exponent": (0, 0),
+            "radius": (1, 0),
+            "radius_width": (1, 0),
+        }
+        if "exponent" not in self._pyro_samples:
+            own["separation_gain"] = (1 + float(self.exponent.mean()), -1 - time)
+        return super().dimensions | own
 
     @property
     def pair_terms(self) -> tuple[str, ...]:

@@ -19,6 +19,7 @@ from swarmssm.models.transitions.hierarchy import assign_hierarchical
 from swarmssm.models.transitions.perception import without_absent
 from swarmssm.models.transitions.protocols import Box, Form
 from swarmssm.models.transitions.walls import wall_push
+from swarmssm.models.units import Dimension
 
 __all__ = ["ForceTransition", "Noise", "PairDerivative"]
 
@@ -104,6 +105,30 @@ class ForceTransition(KinematicTransition):
         self._form = form
         self.noise = noise
         self.limit_tolerance = limit_tolerance
+
+    @property
+    def dimensions(self) -> dict[str, Dimension]:
+        """Powers of length and time in the units of parameters, see :mod:`swarmssm.models.units`.
+
+        A force times ``force_time`` is a velocity.
+        """
+        time = self.force_time
+        additive = self.noise == "additive"
+        return {
+            "process_noise": (1, -1.5) if additive else (0, 0),
+            "wall_gain": (0, -1 - time),
+            "half_width": (1, 0),
+            "center": (1, 0),
+            "relaxation_gain": (0, -time),
+            "preferred_speed": (1, -1),
+            "min_speed": (1, -1),
+            "max_speed": (1, -1),
+        }
+
+    @property
+    def force_time(self) -> int:
+        """Power of time between a velocity and a force: 1 of accelerations, 0 of velocities."""
+        return 1 if self.form == "acceleration" else 0
 
     def assign_self_terms(
         self,

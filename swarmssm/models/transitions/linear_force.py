@@ -11,6 +11,7 @@ from swarmssm.models.markov import StepInputs
 from swarmssm.models.parameters import assign
 from swarmssm.models.transitions.base import KinematicTransition, Linearization
 from swarmssm.models.transitions.linear import pull_matrix, pull_to_neighbors
+from swarmssm.models.units import Dimension
 
 __all__ = ["LinearForceTransition"]
 
@@ -72,6 +73,15 @@ class LinearForceTransition(KinematicTransition):
         assign(self, "process_noise", process_noise, constraint=positive, shapes=[(), (-1,)])
         assign(self, "home", home, shapes=[(), (space,)])
 
+    #: Powers of length and time in the units of parameters, see :mod:`swarmssm.models.units`.
+    dimensions: ClassVar[dict[str, Dimension]] = {
+        "cohesion_gain": (0, -2),
+        "alignment_gain": (0, -1),
+        "damping": (0, -1),
+        "homing_gain": (0, -2),
+        "home": (1, 0),
+        "process_noise": (1, -1.5),
+    }
     #: See :class:`~swarmssm.models.Transition`.
     self_parameter_names: ClassVar[tuple[str, ...]] = (
         "damping",

@@ -82,7 +82,7 @@ def _inferred(fit: Fit, space: int) -> Arena | None:
     if not isinstance(model, StateSpaceModel) or not isinstance(model.transition, Walls):
         return None
     middle = fit.guide.parameters_guide.median() if isinstance(fit.guide, PathGuide) else {}
-    with fit.given(middle):
+    with fit.with_parameters(middle):
         box = model.transition.box()
         if box is None:
             return None

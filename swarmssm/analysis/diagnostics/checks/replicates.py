@@ -191,7 +191,7 @@ def _sighted(subject: Subject, states: torch.Tensor, values: Mapping[str, Any]) 
     observed = states[..., :space]
     if isinstance(model, StateSpaceModel) and not model.emission.is_exact:
         # An individual that is not there has no state; what is drawn for it is not looked at.
-        with subject.fit.given(values), torch.no_grad():
+        with subject.fit.with_parameters(values), torch.no_grad():
             observed = model.emission(states.nan_to_num()).sample()[..., :space]
         observed = observed.masked_fill(states[..., :1].isnan(), torch.nan)
     offset, scale = np.array(scaler.offset[:space]), np.array(scaler.scale[:space])

@@ -105,7 +105,7 @@ def seen_graph(fit: Fit, frames: Frames) -> torch.Tensor:
         scaler = fit.preparation.scaler
         scaled = scaler.transform_tensor(frames.states)
         scaled = scaled.masked_fill(~frames.present.unsqueeze(-1), 0.0)
-        with fit.given(frames.values):
+        with fit.with_parameters(frames.values):
             inputs = model.edges.complete(scaled, step_inputs(model, graph, frames.present))
             if inputs.adjacency is None:
                 return torch.zeros_like(graph)

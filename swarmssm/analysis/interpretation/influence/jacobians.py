@@ -90,7 +90,7 @@ def _linearized(
     )
     scaled = scaled.to(dtype)
     inputs = step_inputs(model, adjacency.to(dtype), present)
-    with torch.no_grad(), fit.given(values), pyro.validation_enabled(False):
+    with torch.no_grad(), fit.with_parameters(values), pyro.validation_enabled(False):
         inputs = model.edges.complete(scaled, inputs)
         following = model.transition.linearize_velocity(scaled, inputs).jacobian.to(states.dtype)
     scale = states.new_tensor(scaler.scale)

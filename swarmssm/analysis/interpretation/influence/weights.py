@@ -48,7 +48,7 @@ def pair_weights(
     drawn = fit.parameters(samples, seed)
     found: list[Array | None] = []
     middle = fit.guide.parameters_guide.median() if isinstance(fit.guide, PathGuide) else {}
-    with fit.given(middle):
+    with fit.with_parameters(middle):
         weights = model.transition.pair_weights()
     for name, value in weights._asdict().items():
         if value is None or f"transition.{name}" not in drawn:

@@ -242,7 +242,7 @@ def _own_kernels(
     angular = []
     with torch.no_grad():
         for values in _parameters(fit, paths, draws, seed):
-            with fit.given(values):
+            with fit.with_parameters(values):
                 weight = _average_weight(transition, paths.states.shape[-2])
                 for name, value in transition.kernels(at).items():
                     factor = per * speed if kinds[name].along == "offset" else per

@@ -225,7 +225,7 @@ class View:
         graph = law_graph(self.fit, self.prepared).to(scaled.dtype)
         given = step_inputs(model, graph, present)
         found = []
-        with self.fit.given(values), torch.no_grad(), pyro.validation_enabled(False):
+        with self.fit.with_parameters(values), torch.no_grad(), pyro.validation_enabled(False):
             given = model.edges.complete(scaled, given)
             if isinstance(transition, NamedParts):
                 parts = transition.parts(scaled, given).transpose(-3, -2).flatten(-2)
