@@ -13,6 +13,8 @@ __all__ = ["add_velocity", "estimate_noise", "observed_runs", "smooth_positions"
 METHODS = ("difference", "kalman")
 #: Tracks are smoothed in groups that need about this many numbers of working memory.
 GROUP_SIZE = 2**26
+#: A variance so many times that of what is seen of it is that of something unknown.
+UNKNOWN = 1e6
 
 
 def add_velocity(
@@ -67,15 +69,19 @@ def smooth_positions(
     *,
     process_noise: float | None = None,
     observation_noise: float | None = None,
+    causal: bool = False,
 ) -> Array:
-    """Smooth each track with a constant-velocity Kalman smoother (Rauch, Tung, Striebel 1965).
+    r"""Smooth each track with filterpy's Kalman filter and smoother (Rauch, Tung, Striebel 1965).
 
     The state of each axis is ``[p, v]``, moved by a white acceleration that is constant within a
-    frame and has standard deviation ``process_noise``; ``p`` is seen with standard deviation
-    ``observation_noise``. Before a run begins nothing is known of ``p``, and ``v`` is 0 with twice
-    the root mean square of the run's own steps as its standard deviation (or of the observation
-    noise per frame, if that is larger). Each run of consecutive observed frames is smoothed on its
-    own, so that nothing is carried across a gap.
+    frame and has standard deviation ``process_noise`` *q*; ``p`` is seen with standard deviation
+    ``observation_noise`` *r*. A run of consecutive observed frames is smoothed on its own, so that
+    nothing is carried across a gap. It begins at its first position, with the difference to its
+    second as velocity, whose variance is a million times that of such a difference,
+    :math:`2 r^2 / dt^2 + q^2 dt^2 / 4`: next to nothing is known of it beforehand (two-point
+    differencing, Bar-Shalom et al. 2001, section 5.5.3).
+
+    All runs have the same covariances and gains, which filterpy therefore computes once.
 
     Parameters
     ----------
@@ -87,6 +93,9 @@ def smooth_positions(
         In length unit per second squared; estimated by :func:`estimate_noise` if absent.
     observation_noise
         In length unit; likewise.
+    causal
+        Whether each frame's state is that of the filter, which knows no later frame. It is unknown
+        in the first frame of a run.
 
     Returns
     -------
@@ -97,6 +106,11 @@ def smooth_positions(
     ------
     InputError
         If a noise is not positive.
+
+    References
+    ----------
+    Y. Bar-Shalom, X.-R. Li and T. Kirubarajan (2001), Estimation with Applications to Tracking and
+    Navigation, Wiley.
     """
     for name, value in (
         ("process_noise", process_noise),
@@ -108,17 +122,33 @@ def smooth_positions(
         estimated = estimate_noise(position, fps)
         process_noise = estimated[0] if process_noise is None else process_noise
         observation_noise = estimated[1] if observation_noise is None else observation_noise
-    num_times, num_members, num_space = position.shape[-3:]
-    trials = position.reshape(-1, num_times, num_members, num_space)
-    out = np.full((*trials.shape[:-1], 2 * num_space), np.nan)
-    group = max(1, GROUP_SIZE // (num_times * (2 * num_space + 4) or 1))
-    for trial, target in zip(trials, out, strict=True):
-        for first in range(0, num_members, group):
-            members = slice(first, first + group)
-            target[:, members] = _smooth(
-                np.ascontiguousarray(trial[:, members]), fps, process_noise, observation_noise
-            )
-    return out.reshape(*position.shape[:-1], 2 * num_space)
+    times, members, space = position.shape[-3:]
+    tracks = position.reshape(-1, times, members, space).swapaxes(1, 2).reshape(-1, times, space)
+    present = np.logical_and.reduce(np.isfinite(tracks), axis=-1)
+    runs = np.array(
+        [(k, *run) for k, row in enumerate(present) for run in observed_runs(row)], dtype=np.int64
+    ).reshape(-1, 3)
+    runs = runs[runs[:, 2] - runs[:, 1] > 1]
+    runs = runs[np.argsort(runs[:, 1] - runs[:, 2], kind="stable")]
+    out = np.full((*tracks.shape[:2], 2 * space), np.nan)
+    if len(runs):
+        model = _ConstantVelocity(fps, process_noise, observation_noise)
+        model.prepare(int(runs[0, 2] - runs[0, 1]))
+    while len(runs):
+        # Runs of about one length go together; the shorter ones are padded at their ends.
+        longest = int(runs[0, 2] - runs[0, 1])
+        size = max(1, GROUP_SIZE // (6 * space * longest))
+        (owner, start, stop), runs = runs[:size].T, runs[size:]
+        row, age = np.nonzero(np.arange(longest) < (stop - start)[:, None])
+        seen = np.full((longest, len(owner), space), np.nan)
+        seen[age, row] = tracks[owner[row], start[row] + age]
+        states = model.smooth(seen, causal=causal)
+        out[owner[row], start[row] + age] = states[age, row]
+    if causal:
+        out[:, 1:][~present[:, :-1]] = np.nan
+        out[:, :1] = np.nan
+    out = out.reshape(-1, members, times, 2 * space).swapaxes(1, 2)
+    return out.reshape(*position.shape[:-1], 2 * space)
 
 
 def observed_runs(present: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
@@ -157,88 +187,62 @@ def estimate_noise(position: Array, fps: float) -> tuple[float, float]:
     return max(float(np.sqrt(s)), smallest) * fps**2, max(float(np.sqrt(r)), smallest)
 
 
-def _smooth(track: Array, fps: float, process_noise: float, observation_noise: float) -> Array:
-    """Smooth all individuals of one trial side by side; the axes share their covariances.
+class _ConstantVelocity:
+    """Filter and smoother of many runs at once, with the gains that filterpy finds for one.
 
-    Covariances of an axis are ``pp, pv, vv`` and their determinant ``det``, which is carried along
-    because ``pp * vv - pv**2`` would lose its digits where the noise is small beside the motion.
+    Covariances depend on no observation, so that those of a run are a function of its age alone.
     """
-    dt, r = 1.0 / fps, observation_noise**2
-    # One acceleration a moves the state by g * a.
-    gp, gv = 0.5 * dt**2, dt
-    qpp, qpv, qvv = (process_noise**2 * product for product in (gp * gp, gp * gv, gv * gv))
-    present: npt.NDArray[np.bool_] = np.logical_and.reduce(np.isfinite(track), axis=-1)
-    begins = present.copy()
-    begins[1:] &= ~present[:-1]
-    follows = present & ~begins
-    first_variance = _first_velocity_variance(track, follows, begins, fps, observation_noise)
-    num_times, num_members, num_space = track.shape
-    out = np.full((num_times, num_members, 2 * num_space), np.nan)
-    if not num_times:
-        return out
-    predicted = np.full_like(out, np.nan)
-    covariance = np.full((num_times, 4, num_members), np.nan)
-    pp = np.full(num_members, r)
-    pv, vv, det = np.zeros((3, num_members))
-    state = np.full((num_members, 2 * num_space), np.nan)
-    for t in range(num_times):
-        det = det + (pp + 2 * dt * pv + dt**2 * vv) * qvv + vv * qpp - 2 * (pv + dt * vv) * qpv
-        pp = pp + 2 * dt * pv + dt**2 * vv + qpp
-        pv = pv + dt * vv + qpv
-        vv = vv + qvv
-        covariance[t] = pp, pv, vv, det
-        state[:, :num_space] += dt * state[:, num_space:]
-        predicted[t] = state
-        total = pp + r
-        surprise = track[t] - state[:, :num_space]
-        state[:, :num_space] += (pp / total)[:, None] * surprise
-        state[:, num_space:] += (pv / total)[:, None] * surprise
-        pp, pv, vv, det = pp * r / total, pv * r / total, (det + vv * r) / total, det * r / total
-        begin = begins[t]
-        if begin.any():
-            state[begin, :num_space] = track[t, begin]
-            state[begin, num_space:] = 0.0
-            pp = np.where(begin, r, pp)
-            pv = np.where(begin, 0.0, pv)
-            vv = np.where(begin, first_variance[t], vv)
-            det = np.where(begin, r * first_variance[t], det)
-        out[t] = state
-    # Backwards, the smoothed acceleration of each frame is undone: with Q = g g' this is the gain
-    # of Rauch, Tung and Striebel, and needs no inverse of a matrix.
-    for t in range(num_times - 2, -1, -1):
-        pp, pv, vv, det = covariance[t + 1][..., None]
-        wrong = out[t + 1] - predicted[t + 1]
-        to_p, to_v = gp * vv - gv * pv, gv * pp - gp * pv
-        acceleration = to_p * wrong[:, :num_space] + to_v * wrong[:, num_space:]
-        acceleration *= process_noise**2 / det
-        velocity = out[t + 1, :, num_space:] - gv * acceleration
-        place = out[t + 1, :, :num_space] - gp * acceleration - dt * velocity
-        joined = follows[t + 1][:, None]
-        np.copyto(out[t, :, :num_space], place, where=joined)
-        np.copyto(out[t, :, num_space:], velocity, where=joined)
-    alone = begins.copy()
-    alone[:-1] &= ~follows[1:]
-    out[~present | alone] = np.nan
-    return out
 
+    def __init__(self, fps: float, process_noise: float, observation_noise: float) -> None:
+        # Imported where it runs: it brings scipy.stats.
+        from filterpy.common import Q_discrete_white_noise
+        from filterpy.kalman import KalmanFilter
 
-def _first_velocity_variance(
-    track: Array,
-    follows: npt.NDArray[np.bool_],
-    begins: npt.NDArray[np.bool_],
-    fps: float,
-    observation_noise: float,
-) -> Array:
-    """Return, where a run begins, the variance of its first velocity: four mean squared steps."""
-    steps = np.zeros(track.shape[:2])
-    steps[1:] = ((np.diff(track, axis=0) * fps) ** 2).mean(-1)
-    # Runs are numbered along each individual's own time, one individual after the other.
-    run = np.cumsum(begins.T.reshape(-1)) - 1
-    inside = follows.T.reshape(-1)
-    count = int(begins.sum())
-    sums = np.bincount(run[inside], steps.T.reshape(-1)[inside], count)
-    lengths = np.bincount(run[inside], minlength=count)
-    mean = sums / np.maximum(lengths, 1)
-    variance = np.zeros(track.shape[:2])
-    variance.T[begins.T] = 4.0 * np.maximum(mean, (observation_noise * fps) ** 2)
-    return variance
+        self.fps = fps
+        self.filter = KalmanFilter(dim_x=2, dim_z=1)
+        self.filter.F = np.array([[1.0, 1.0 / fps], [0.0, 1.0]])
+        self.filter.H = np.array([[1.0, 0.0]])
+        self.filter.R = np.array([[observation_noise**2]])
+        self.filter.Q = Q_discrete_white_noise(2, dt=1.0 / fps, var=process_noise**2)
+        difference = 2.0 * (observation_noise * fps) ** 2 + 0.25 * (process_noise / fps) ** 2
+        self.filter.P = np.diag([observation_noise**2, UNKNOWN * difference])
+
+    def prepare(self, longest: int) -> None:
+        """Compute gains and covariances at each age; they settle, and then are all the same."""
+        gains, covariances = [np.zeros((2, 1))], [self.filter.P.copy()]
+        for _ in range(1, longest):
+            self.filter.predict()
+            self.filter.update(0.0)
+            gains.append(self.filter.K.copy())
+            covariances.append(self.filter.P.copy())
+            if np.allclose(covariances[-1], covariances[-2], rtol=1e-14, atol=0.0):
+                break
+        left = longest - len(gains)
+        self.gains = np.stack(gains + gains[-1:] * left)
+        self.covariances = np.stack(covariances + covariances[-1:] * left)
+
+    def smooth(self, seen: Array, *, causal: bool) -> Array:
+        """Return states ``(age, run, 2 * space)`` of positions ``(age, run, space)``.
+
+        NaN at the ends stands for ages that a run does not reach.
+        """
+        from filterpy.kalman import rts_smoother
+
+        longest, count, space = seen.shape
+        columns = seen.reshape(longest, -1)
+        states = np.empty((longest, 2, columns.shape[1]))
+        states[0] = columns[0], (columns[1] - columns[0]) * self.fps
+        for age in range(1, longest):
+            ahead = self.filter.F @ states[age - 1]
+            # Beyond its end a run goes on as expected, which tells the smoother nothing.
+            surprise = np.nan_to_num(columns[age] - ahead[0])
+            states[age] = ahead + self.gains[age] * surprise
+        if not causal:
+            states = rts_smoother(
+                states,
+                self.covariances[:longest],
+                np.broadcast_to(self.filter.F, (longest, 2, 2)),
+                np.broadcast_to(self.filter.Q, (longest, 2, 2)),
+            )[0]
+        states = states.reshape(longest, 2, count, space)
+        return np.concatenate([states[:, 0], states[:, 1]], axis=-1)

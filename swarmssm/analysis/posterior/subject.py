@@ -172,18 +172,22 @@ def subject_of(
 
 
 def _smoothed_causally(tracks: xr.Dataset, training: xr.Dataset | None) -> xr.Dataset:
-    """Return the tracks with velocities each smoothed from the frames up to its own alone."""
+    """Return the tracks with velocities each filtered from the frames up to its own alone."""
     fps = tracks.attrs["fps"]
-    # Without a training part to learn the noise from, each history tells its own.
-    noise = (None, None) if training is None else estimate_noise(_positions(training), fps)
     position = _positions(tracks)
-    velocity = np.full(position.shape, np.nan)
-    for row in range(1, position.shape[1]):
-        history = position[:, max(0, row + 1 - SMOOTHED_HISTORY) : row + 1]
-        smoothed = smooth_positions(
-            history, fps, process_noise=noise[0], observation_noise=noise[1]
+    space = position.shape[-1]
+    if training is not None:
+        process, observation = estimate_noise(_positions(training), fps)
+        states = smooth_positions(
+            position, fps, process_noise=process, observation_noise=observation, causal=True
         )
-        velocity[:, row] = smoothed[:, -1, :, position.shape[-1] :]
+        velocity = states[..., space:]
+    else:
+        # Without a training part to learn the noise from, each history has an estimate of its own.
+        velocity = np.full(position.shape, np.nan)
+        for row in range(1, position.shape[1]):
+            history = position[:, max(0, row + 1 - SMOOTHED_HISTORY) : row + 1]
+            velocity[:, row] = smooth_positions(history, fps, causal=True)[:, -1, :, space:]
     dims = ("trial", "time", "space", "individual")
     return tracks.assign(velocity=(dims, np.swapaxes(velocity, -1, -2)))
 
