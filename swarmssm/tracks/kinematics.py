@@ -147,8 +147,8 @@ def smooth_positions(
     if causal:
         out[:, 1:][~present[:, :-1]] = np.nan
         out[:, :1] = np.nan
-    out = out.reshape(-1, members, times, 2 * space).swapaxes(1, 2)
-    return out.reshape(*position.shape[:-1], 2 * space)
+    whole = out.reshape(-1, members, times, 2 * space).swapaxes(1, 2)
+    return whole.reshape(*position.shape[:-1], 2 * space)
 
 
 def observed_runs(present: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
