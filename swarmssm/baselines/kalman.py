@@ -1,8 +1,11 @@
 r"""A Kalman filter for each individual, whose velocity is a random walk."""
 
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+import numpy.typing as npt
+from filterpy.kalman import KalmanFilter
 
 from swarmssm.analysis.scoring.baseline import Training
 from swarmssm.baselines.filtered import (
@@ -10,10 +13,11 @@ from swarmssm.baselines.filtered import (
     FilteredBaseline,
     typical_noise,
 )
-from swarmssm.baselines.jump_filter import JumpModel
+from swarmssm.baselines.jump_filter import Beliefs, JumpModel
+from swarmssm.metrics.masked import known
 from swarmssm.tracks import Array
 
-__all__ = ["KalmanVelocity", "random_walk_noise", "straight_motion"]
+__all__ = ["KalmanVelocity", "OneModeModel", "random_walk_noise", "straight_motion"]
 
 
 class KalmanVelocity(FilteredBaseline):
@@ -58,7 +62,7 @@ class KalmanVelocity(FilteredBaseline):
 
         def build(parameters: Array) -> JumpModel:
             process, tracking = np.exp(parameters)
-            return JumpModel(
+            return OneModeModel(
                 straight_motion(space, fps)[None],
                 random_walk_noise(process, space, fps)[None],
                 np.ones((1, 1)),
@@ -68,6 +72,82 @@ class KalmanVelocity(FilteredBaseline):
 
         begin = [float(np.log(velocity)), float(np.log(0.1 * step))]
         self.model = build(self._most_likely(build, begin, states, training))
+
+
+@dataclass(frozen=True)
+class OneModeModel(JumpModel):
+    """A jump model of one mode, followed by filterpy's Kalman filter.
+
+    Gains and covariances depend on which frames are observed, not on what is observed: filterpy
+    computes them once for all individuals that are observed in the same frames.
+    """
+
+    def follow(self, states: Array) -> tuple[Array, Array, Beliefs]:
+        """Run the filter over a history, as :meth:`JumpModel.follow` does."""
+        space, length = states.shape[-1] // 2, states.shape[-3]
+        tracks = np.swapaxes(states, -3, -2)
+        lead = tracks.shape[:-2]
+        tracks = tracks.reshape(-1, length, 2 * space)
+        whole = known(tracks)
+        begun = np.logical_or.accumulate(whole, axis=1)
+        # 0: not begun or not observed, 1: observed, 2: the first frame.
+        pattern = (begun & known(tracks[..., :space])).astype(np.int8)
+        pattern[begun & (np.cumsum(begun, axis=1) == 1)] = 2
+        expected = np.full(tracks.shape, np.nan)
+        densities = np.full(tracks.shape[:-1], np.nan)
+        means = np.full((len(tracks), 2 * space), np.nan)
+        covariances = np.full((len(tracks), 2 * space, 2 * space), np.nan)
+        kinds, kind = np.unique(pattern, axis=0, return_inverse=True)
+        for number, frames in enumerate(kinds):
+            if 2 not in frames:
+                continue
+            rows = np.flatnonzero(kind.ravel() == number)
+            found = self._alike(tracks[rows], frames)
+            expected[rows], densities[rows], means[rows], covariances[rows] = found
+        beliefs = Beliefs(
+            np.where(np.isnan(means[:, :1]), np.nan, 1.0).reshape(*lead, 1),
+            means.reshape(*lead, 1, 2 * space),
+            covariances.reshape(*lead, 1, 2 * space, 2 * space),
+        )
+        return (
+            np.swapaxes(expected.reshape(*lead, length, 2 * space), -3, -2),
+            np.swapaxes(densities.reshape(*lead, length), -2, -1),
+            beliefs,
+        )
+
+    def _alike(
+        self, tracks: Array, frames: npt.NDArray[np.int8]
+    ) -> tuple[Array, Array, Array, Array]:
+        """Follow individuals that are observed in the same frames, ``(individual, time, state)``.
+
+        Returns
+        -------
+        Next expected states, log densities, and the last mean and covariance.
+        """
+        space = tracks.shape[-1] // 2
+        judge = KalmanFilter(dim_x=2 * space, dim_z=space)
+        judge.F, judge.Q, judge.H = self.transitions[0], self.noises[0], np.eye(space, 2 * space)
+        judge.R = self.tracking_variance * np.eye(space)
+        judge.P = self._first_covariance(space)
+        expected = np.full(tracks.shape, np.nan)
+        densities = np.full(tracks.shape[:-1], np.nan)
+        first = int(np.argmax(frames == 2))
+        mean = tracks[:, first]
+        nothing = np.zeros(space)
+        for frame in range(first, len(frames)):
+            if frames[frame] == 1:
+                judge.update(nothing)
+                innovation = tracks[:, frame, :space] - mean[:, :space]
+                weighted = innovation @ judge.SI
+                surprise = (weighted * innovation).sum(-1)
+                volume = np.linalg.slogdet(2.0 * np.pi * judge.S)[1]
+                densities[:, frame] = -0.5 * (surprise + volume)
+                mean = mean + innovation @ judge.K.T
+            last = mean, judge.P.copy()
+            judge.predict()
+            mean = mean @ judge.F.T
+            expected[:, frame] = mean
+        return expected, densities, last[0], last[1]
 
 
 def straight_motion(space: int, fps: float) -> Array:

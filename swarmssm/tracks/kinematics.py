@@ -123,14 +123,15 @@ def smooth_positions(
         process_noise = estimated[0] if process_noise is None else process_noise
         observation_noise = estimated[1] if observation_noise is None else observation_noise
     times, members, space = position.shape[-3:]
-    tracks = position.reshape(-1, times, members, space).swapaxes(1, 2).reshape(-1, times, space)
+    tracks: Array = position.reshape(-1, times, members, space)
+    tracks = tracks.swapaxes(1, 2).reshape(-1, times, space)
     present = np.logical_and.reduce(np.isfinite(tracks), axis=-1)
     runs = np.array(
         [(k, *run) for k, row in enumerate(present) for run in observed_runs(row)], dtype=np.int64
     ).reshape(-1, 3)
     runs = runs[runs[:, 2] - runs[:, 1] > 1]
     runs = runs[np.argsort(runs[:, 1] - runs[:, 2], kind="stable")]
-    out = np.full((*tracks.shape[:2], 2 * space), np.nan)
+    out: Array = np.full((*tracks.shape[:2], 2 * space), np.nan)
     if len(runs):
         model = _ConstantVelocity(fps, process_noise, observation_noise)
         model.prepare(int(runs[0, 2] - runs[0, 1]))
@@ -244,5 +245,5 @@ class _ConstantVelocity:
                 np.broadcast_to(self.filter.F, (longest, 2, 2)),
                 np.broadcast_to(self.filter.Q, (longest, 2, 2)),
             )[0]
-        states = states.reshape(longest, 2, count, space)
-        return np.concatenate([states[:, 0], states[:, 1]], axis=-1)
+        by_run = states.reshape(longest, 2, count, space)
+        return np.concatenate([by_run[:, 0], by_run[:, 1]], axis=-1)

@@ -7,7 +7,12 @@ from filterpy.kalman import IMMEstimator, KalmanFilter
 from swarmssm.analysis.scoring.baseline import Training
 from swarmssm.baselines.interacting import InteractingModels, turning_motion
 from swarmssm.baselines.jump_filter import JumpModel
-from swarmssm.baselines.kalman import KalmanVelocity, random_walk_noise, straight_motion
+from swarmssm.baselines.kalman import (
+    KalmanVelocity,
+    OneModeModel,
+    random_walk_noise,
+    straight_motion,
+)
 from swarmssm.errors import InputError
 
 FPS = 5.0
@@ -39,7 +44,8 @@ def modes(number):
     noises = [cruising, random_walk_noise(SWERVING, 2, FPS), cruising, cruising]
     switching = np.full((number, number), 0.1 / max(number - 1, 1))
     np.fill_diagonal(switching, 0.9 if number > 1 else 1.0)
-    return JumpModel(
+    kind = OneModeModel if number == 1 else JumpModel
+    return kind(
         np.stack(transitions[:number]), np.stack(noises[:number]), switching, TRACKING**2, FPS
     )
 
@@ -69,6 +75,20 @@ def test_one_mode_is_filterpys_kalman_filter_gaps_included():
                     assert densities[time, individual] == pytest.approx(judged.log_likelihood)
             judged.predict()
             np.testing.assert_allclose(expected[time, individual], judged.x, rtol=1e-9, atol=1e-9)
+
+
+def test_individuals_observed_in_the_same_frames_share_their_gains():
+    """The vectorised filter of several modes, with one, says the same of every individual."""
+    states, model = np.stack([walk(seed=seed) for seed in range(3)]), modes(1)
+    states[0, 10:14, 1] = np.nan
+    states[1, :5, 2] = np.nan
+    states[2, :, 0] = np.nan
+    one = model.follow(states)
+    many = JumpModel.follow(model, states)
+    for ours, theirs in zip(one[:2], many[:2], strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-8, atol=1e-9)
+    np.testing.assert_allclose(one[2].mean, many[2].mean, rtol=1e-8, atol=1e-9)
+    np.testing.assert_allclose(one[2].covariances, many[2].covariances, rtol=1e-7, atol=1e-12)
 
 
 def test_four_modes_are_filterpys_interacting_models():
