@@ -2,6 +2,7 @@
 
 import os
 import sys
+import traceback
 import warnings
 from typing import Annotated, Any
 
@@ -76,8 +77,17 @@ def _options(
         bool,
         typer.Option("--version", callback=_print_version, is_eager=True, help="Say the version."),
     ] = False,
+    debug: Annotated[
+        bool,
+        typer.Option("--debug", help="Before an error, show the traceback of what led to it."),
+    ] = False,
 ) -> None:
     """Learn how the members of a group move each other, from their tracks alone."""
+    _shown["traceback"] = debug
+
+
+#: What the options of the command as a whole ask for, once it runs.
+_shown = {"traceback": False}
 
 
 def main() -> None:
@@ -91,6 +101,8 @@ def main() -> None:
     try:
         app()
     except SwarmssmError as error:
+        if _shown["traceback"]:
+            traceback.print_exception(error)
         _fail(str(error), error.exit_status)
     except MemoryError:
         _fail("there is not enough memory for this; take fewer individuals, frames or draws.", 1)

@@ -1,10 +1,13 @@
-"""Whether a guide draws what its model needs, said before training and in plain words."""
+"""Whether model and guide run and fit each other, checked before training."""
 
 import contextlib
 import math
+import sys
+import traceback
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import pyro
 import torch
@@ -15,6 +18,10 @@ from swarmssm.inference.guides import SwarmGuide
 from swarmssm.models import SwarmBatch, SwarmModel
 
 __all__ = ["check_agreement", "evaluating"]
+
+PACKAGE = Path(__file__).resolve().parents[1]
+#: Folders of code that is not the user's: installed packages, and what is not in a file.
+LIBRARIES = ("site-packages", "dist-packages", f"python{sys.version_info[0]}.{sys.version_info[1]}")
 
 
 @contextlib.contextmanager
@@ -33,7 +40,7 @@ def evaluating(*modules: torch.nn.Module) -> Iterator[None]:
 def check_agreement(
     model: SwarmModel, guide: SwarmGuide, windows: SwarmBatch, *, scored: bool = True
 ) -> None:
-    """Run model and guide once, with all arguments checked, on two windows.
+    """Run the model alone, then the guide, then both, on two windows.
 
     Random states are left as they were. Of two windows one can tell whether each has its own term
     in the ELBO, as the plate of the windows wants it.
@@ -48,8 +55,9 @@ def check_agreement(
     Raises
     ------
     InputError
-        If the guide misses a site or draws one that the model does not have, a shape is wrong
-        (naming both), or model or guide fail on the windows.
+        If model or guide fail on the windows, naming the part at fault and, where it is a user's
+        code, file and line; if the guide misses a site or draws one that the model does not have,
+        or a shape is wrong (naming both).
     """
     rows = torch.arange(2, device=windows.mask.device) % len(windows)
     window = replace(windows.select(rows), population=max(windows.population, 2))
@@ -59,14 +67,14 @@ def check_agreement(
         evaluating(model, guide),
         pyro.validation_enabled(True),
     ):
-        drawn = _run("guide", guide, window)
-        # Swarms of the prior may fly apart beyond all numbers where those of the posterior do not:
+        # Swarms of the prior may diverge beyond all numbers where those of the posterior do not:
         # of the free run only the sites and their shapes are asked.
         with pyro.validation_enabled(False):
-            free = _run("model", model, window)
+            free = _run(model, model, window)
         needed = _latent(free)
+        drawn = _run(guide, model, window)
         _check_sites(_latent(drawn), needed)
-        both = _run("model", pyro.poutine.replay(model, trace=drawn), window)
+        both = _run(pyro.poutine.replay(model, trace=drawn), model, window)
         if not scored:
             return
         for what, trace in (("guide", drawn), ("model", both)):
@@ -76,18 +84,61 @@ def check_agreement(
                     if site["type"] == "sample":
                         pyro.util.check_site_shape(site, math.inf)
             except Exception as error:  # distributions may be the user's own
-                raise InputError(f"{what}: {_reason(error)}") from error
+                raise _refusal(what, "", error, model) from error
 
 
-def _run(what: str, module: Any, window: SwarmBatch) -> Trace:
-    """Trace a module on a window."""
+def _run(module: Any, model: SwarmModel, window: SwarmBatch) -> Trace:
+    """Trace the guide, or the model alone or on draws, on a window."""
     try:
         trace: Trace = pyro.poutine.trace(module).get_trace(window)
-    except InputError as error:
-        raise InputError(_reason(error)) from error
     except Exception as error:  # it may be the user's own
-        raise InputError(f"{what}: it fails on windows of the tracks: {_reason(error)}") from error
+        what = "guide" if isinstance(module, SwarmGuide) else "model"
+        raise _refusal(what, " it fails on windows of the tracks", error, model) from error
     return trace
+
+
+def _refusal(what: str, fault: str, error: Exception, model: SwarmModel) -> InputError:
+    """Return the error that names the part at fault, and where in a user's code it failed.
+
+    A guide may run the model's transition: what fails there is the model's.
+    """
+    place = _where(error)
+    at = ""
+    if place is not None:
+        at = f" ({place.file}, line {place.line}, in {place.function})"
+        if any(place.owner is part for part in model.modules()):
+            what = "model"
+    first: BaseException = error
+    while first.__cause__ is not None and not isinstance(first, InputError):
+        first = first.__cause__
+    if isinstance(first, InputError):
+        return InputError(f"{_reason(first).rstrip('.')}{at}.")
+    return InputError(f"{what}{':' if fault else ''}{fault}{at}: {_reason(error)}")
+
+
+class _Place(NamedTuple):
+    """Where in a user's code something failed."""
+
+    file: str
+    line: int
+    function: str
+    owner: Any
+
+
+def _where(error: BaseException) -> _Place | None:
+    """Return the innermost line of a user's code that an error went through, if there is one.
+
+    That is code outside this package and outside the installed libraries.
+    """
+    place = owner = None
+    for frame, line in traceback.walk_tb(error.__traceback__):
+        file = Path(frame.f_code.co_filename)
+        if file.is_relative_to(PACKAGE) or any(part in LIBRARIES for part in file.parts):
+            continue
+        # A function that a method calls is the method's.
+        owner = frame.f_locals.get("self", owner)
+        place = _Place(file.name, line, frame.f_code.co_name, owner)
+    return place
 
 
 def _reason(error: Exception) -> str:

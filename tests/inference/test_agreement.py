@@ -14,6 +14,7 @@ from swarmssm.inference.agreement import check_agreement, evaluating
 from swarmssm.inference.data import windows_of
 from swarmssm.inference.guides import (
     GraphEncoderGuide,
+    LinearizedGuide,
     OneStepGuide,
     ParameterGuide,
     PathGuide,
@@ -184,15 +185,15 @@ def test_layers_of_normalisation_are_not_moved():
         ),
         (
             lambda batch: batch.observations @ torch.zeros(3, 2),
-            r"guide: it fails on windows of the tracks: .*shapes cannot be multiplied",
+            r"guide: it fails on windows of the tracks .*line .*: .*shapes cannot be multiplied",
         ),
         (
             lambda batch: batch.velocities,
-            "guide: it fails on windows of the tracks: AttributeError: .*'velocities'",
+            "guide: it fails on windows of the tracks .*line .*: AttributeError: .*'velocities'",
         ),
         (
             lambda batch: {}["gain"],
-            "guide: it fails on windows of the tracks: KeyError: 'gain'",
+            "guide: it fails on windows of the tracks .*line .*: KeyError: 'gain'",
         ),
         (
             # Features of a state that are taken for windows: their terms would be counted wrongly.
@@ -232,7 +233,10 @@ def test_windows_outside_of_their_plate_are_noticed():
 @pytest.mark.parametrize(
     ("fault", "sentence"),
     [
-        (lambda batch: torch.ones(3) @ torch.ones(2), "model: it fails on windows of the tracks: "),
+        (
+            lambda batch: torch.ones(3) @ torch.ones(2),
+            "model: it fails on windows of the tracks .*line .*: ",
+        ),
         (lambda batch: pyro.factor("x", torch.tensor(float("nan"))), "model: it fails .*invalid"),
         (lambda batch: pyro.sample("y", dist.Normal(0.0, 1.0)), "guide: it does not sample 'y'"),
     ],
@@ -307,3 +311,75 @@ def test_a_check_leaves_the_fit_as_it_would_be_without(swarm, brief, weights_of,
     assert all(torch.equal(one[name], other[name]) for name in one)
     prepared = checked.prepare(checked.part(swarm, "train"))
     check_agreement(checked.model, checked.guide, windows_of(prepared, 20))
+
+
+def typo(positions, velocities, dt):
+    return dist.Normal(velocities + dt * poll, 0.3).to_event(1)  # noqa: F821
+
+
+def inside(positions, velocities, dt):
+    raise RuntimeError("no pull")
+
+
+@pytest.mark.parametrize(
+    ("fault", "sentence"),
+    [
+        (typo, r"model.*test_agreement.py, line \d+, in typo\): NameError: name 'poll'"),
+        (lambda p, v, dt: dist.Normal(v.velocity, 0.3), r"model.*line \d+.*AttributeError: "),
+        (inside, r"model.*test_agreement.py, line \d+, in inside\): no pull"),
+        (
+            lambda p, v, dt: dist.Normal(v[..., :1], 0.3).to_event(1),
+            r"model.*positions have 2 coordinates and velocities 1",
+        ),
+        (
+            lambda p, v, dt: dist.Normal(v[..., :1, :], 0.3).to_event(1),
+            r"velocity: it must return a distribution of batch shape .*individual",
+        ),
+        (
+            lambda p, v, dt: dist.Normal(v, 0.3),
+            r"velocity: it must return a distribution of batch shape .*individual",
+        ),
+    ],
+)
+def test_a_fault_in_a_transition_is_the_model_s_with_file_and_line(fault, sentence):
+    class Faulty(Wandering):
+        def velocity(self, positions, velocities, inputs):
+            return fault(positions, velocities, self.dt)
+
+    for emission in (PositionEmission(2, 0.1), None):
+        model = StateSpaceModel(InitialStates(torch.zeros(4), torch.ones(4)), Faulty(), emission)
+        guide = LinearizedGuide(model) if emission is not None else ParameterGuide(model)
+        with pytest.raises(InputError, match=f"^{sentence}") as caught:
+            check_agreement(model, guide, windows(4 if emission is None else 2))
+        assert "\n" not in str(caught.value)
+
+
+def test_what_fails_when_a_guide_runs_the_transition_is_the_model_s():
+    class Faulty(Wandering):
+        def linearize(self, mean, inputs, covariance=None):
+            return mean.no_such_thing
+
+    model = StateSpaceModel(
+        InitialStates(torch.zeros(4), torch.ones(4)), Faulty(), PositionEmission(2, 0.1)
+    )
+    with pytest.raises(InputError, match=r"^model: .*line \d+, in linearize.*no_such_thing"):
+        check_agreement(model, LinearizedGuide(model), windows(2))
+
+
+@pytest.mark.parametrize("shape", [(2, 4, 1), (1, 4, 2)])
+def test_forces_of_another_shape_are_refused(shape):
+    class Pulled(KinematicTransition):
+        terms = ("pull", "drag")
+
+        def __init__(self):
+            super().__init__(2, 0.5)
+            self.process_noise = PyroSample(dist.LogNormal(-2.0, 1.0))
+
+        def forces(self, states, inputs):
+            return torch.zeros(*states.shape[:-2], *shape)
+
+    model = StateSpaceModel(
+        InitialStates(torch.zeros(4), torch.ones(4)), Pulled(), PositionEmission(2, 0.1)
+    )
+    with pytest.raises(InputError, match=r"^forces: they must be .*\(\.\.\., 2, 4, 2\)"):
+        check_agreement(model, LinearizedGuide(model), windows(2))

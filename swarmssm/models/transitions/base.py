@@ -271,7 +271,14 @@ class KinematicTransition(Transition):
     def forward(self, states: torch.Tensor, inputs: StepInputs) -> Kinematic:
         """Return the distribution of the next states."""
         positions, velocities = states[..., : self.space], states[..., self.space :]
-        return Kinematic(positions, self.velocity(positions, velocities, inputs), self.dt)
+        following = self.velocity(positions, velocities, inputs)
+        if following.batch_shape[-1:] != positions.shape[-2:-1]:
+            raise InputError(
+                "velocity: it must return a distribution of batch shape (..., individual) = "
+                f"(..., {positions.shape[-2]}) and event shape (space,) = ({self.space},), and "
+                f"this one has {tuple(following.batch_shape)} and {tuple(following.event_shape)}."
+            )
+        return Kinematic(positions, following, self.dt)
 
     def linearize_velocity(
         self,
