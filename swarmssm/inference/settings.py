@@ -23,6 +23,19 @@ def _plain(value: Any) -> Any:
     return value
 
 
+def _prior(name: str, value: Any) -> Any:
+    """Return a prior as a run folder stores it: text, a number or a list."""
+    if not hasattr(value, "log_prob"):
+        return _plain(value)
+    # Only who has a distribution has loaded torch already.
+    from swarmssm.models.prior_text import exact_text
+
+    try:
+        return exact_text(value)
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from error
+
+
 #: Settings that are tables themselves.
 NESTED = ("model_options", "guide_options", "priors", "edge_options")
 Options = dict[str, Annotated[pydantic.JsonValue, pydantic.BeforeValidator(_plain)]]
@@ -38,8 +51,8 @@ class FitSettings(pydantic.BaseModel):
     model_options, guide_options
         Named arguments of their constructors: values that JSON can hold.
     priors
-        Priors in place of the model's own: name of a parameter -> text such as
-        ``"LogNormal(-1, 0.5)"``, or a number at which it is held, see
+        Priors in place of the model's own: name of a parameter -> a distribution of Pyro's or
+        torch's, its text such as ``"LogNormal(-1, 0.5)"``, or a number at which it is held, see
         :func:`swarmssm.models.priors.with_priors`.
     edges
         ``"auto"``, the model's own; or those that take their place: ``"relational"``,
@@ -126,6 +139,13 @@ class FitSettings(pydantic.BaseModel):
     validate_every: pydantic.PositiveInt | None = None
     patience: pydantic.PositiveInt | None = None
     checkpoint_every: pydantic.PositiveInt = 200
+
+    @pydantic.field_validator("priors", mode="before")
+    @classmethod
+    def _distributions_become_text(cls, values: Any) -> Any:
+        if not isinstance(values, Mapping):
+            return values
+        return {name: _prior(name, value) for name, value in values.items()}
 
     @pydantic.field_validator("graph")
     @classmethod

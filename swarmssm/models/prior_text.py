@@ -14,7 +14,7 @@ from torch.distributions import constraints
 from swarmssm.errors import InputError
 from swarmssm.models.supports import describe
 
-__all__ = ["EXAMPLE", "PRIORS", "distribution_text", "parse_distribution"]
+__all__ = ["EXAMPLE", "PRIORS", "distribution_text", "exact_text", "parse_distribution"]
 
 #: Distributions that may be written as text: continuous ones whose parameters are numbers.
 PRIORS = (
@@ -124,12 +124,56 @@ def distribution_text(distribution: Any) -> str:
         throughout is written as one number, one of more than four different numbers as how many
         they are. What has no arguments that are numbers is its name alone.
     """
+    distribution = _inner(distribution)
+    written = [_written(value) for value in _given(distribution).values()]
+    return (
+        f"{type(distribution).__name__}({', '.join(written)})"
+        if written
+        else (type(distribution).__name__)
+    )
+
+
+def exact_text(distribution: Any) -> str:
+    """Write a distribution so that :func:`parse_distribution` makes the same one of it.
+
+    Parameters
+    ----------
+    distribution
+        Of Pyro's or torch's.
+
+    Raises
+    ------
+    InputError
+        If it is none that can be written as text (:data:`PRIORS`).
+    """
+    inner = _inner(distribution)
+    name = type(inner).__name__
+    if name not in PRIORS or isinstance(inner, dist.MaskedDistribution):
+        raise InputError(
+            f"prior: a {name} cannot be written as text, which a run folder stores. Choose one of "
+            f"{', '.join(PRIORS)}, or put the prior into a model of your own."
+        )
+    shape = distribution.batch_shape + distribution.event_shape
+    given = {
+        argument: value.expand(shape) if not value.dim() and not inner.event_shape else value
+        for argument, value in _given(inner).items()
+    }
+    return f"{name}({', '.join(f'{key}={value.tolist()}' for key, value in given.items())})"
+
+
+def _inner(distribution: Any) -> Any:
+    """Return a distribution without what only tells the shape of its values."""
     while isinstance(
         distribution,
         torch.distributions.Independent | dist.ExpandedDistribution | dist.MaskedDistribution,
     ):
         distribution = distribution.base_dist
-    written = []
+    return distribution
+
+
+def _given(distribution: Any) -> dict[str, torch.Tensor]:
+    """Return the arguments that a distribution was made with, by name."""
+    found = {}
     for name in _arguments(type(distribution)):
         # Of several ways to give one thing only that which was taken is stored; lazy properties
         # would compute the others.
@@ -137,12 +181,8 @@ def distribution_text(distribution: Any) -> str:
         stored = name in vars(distribution) or isinstance(kind, property)
         value = getattr(distribution, name, None) if stored else None
         if isinstance(value, torch.Tensor):
-            written.append(_written(value.detach()))
-    return (
-        f"{type(distribution).__name__}({', '.join(written)})"
-        if written
-        else (type(distribution).__name__)
-    )
+            found[name] = value.detach()
+    return found
 
 
 def _written(value: torch.Tensor) -> str:

@@ -161,3 +161,11 @@ def test_a_full_disk_is_a_failure_in_a_sentence(
     assert "Traceback" not in result.err
     left = [path.name for path in full_disk.rglob("*") if path.is_file()]
     assert [name for name in left if name.startswith("o") or ".part" in name] == []
+
+
+def test_debug_shows_the_traceback_before_the_sentence(swarmssm):
+    told = swarmssm("--debug", "info", "absent.nc")
+    assert told.status == 2
+    assert "Traceback" in told.err
+    assert told.err.splitlines()[-1].startswith("swarmssm: absent.nc")
+    assert "Traceback" not in swarmssm("info", "absent.nc").err

@@ -7,6 +7,7 @@ import pyro
 import pyro.distributions as dist
 import pytest
 import torch
+from oracles.radius_grid import RadiusGridModel
 from pyro import poutine
 from pyro.infer.autoguide import AutoMultivariateNormal
 
@@ -15,7 +16,6 @@ from swarmssm.graphs import EdgeList
 from swarmssm.models import InitialStates, LatentEdges, StateSpaceModel, StepInputs, SwarmBatch
 from swarmssm.models.distributions.speed_limits import limit_speed
 from swarmssm.models.parameters import fixed
-from swarmssm.models.radius_grid import RadiusGridModel
 from swarmssm.models.transitions import BoidsTransition, Hierarchical, KinematicTransition
 from swarmssm.simulate import law_of, simulate_boids
 

@@ -20,8 +20,8 @@ from swarmssm.models import (
     Scales,
     StateEmission,
 )
+from swarmssm.models.distributions.moments import covariance_of
 from swarmssm.models.emissions import DiagonalStudentT
-from swarmssm.models.transitions.base import covariance_of
 
 # Said by torch itself, when forward-mode differentiation is first asked for.
 pytestmark = pytest.mark.filterwarnings(

@@ -11,6 +11,7 @@ from torch import nn
 from torch.distributions import constraints
 
 from swarmssm.errors import InputError
+from swarmssm.inference.settings import FitSettings, settings_from
 from swarmssm.models import (
     InitialStates,
     KinematicTransition,
@@ -417,3 +418,32 @@ def test_intervals_and_structures_are_compared():
         constraints.simplex: "fractions that sum to 1",
     }
     assert {describe(constraint) for constraint in words} == set(words.values())
+
+
+@pytest.mark.parametrize(
+    "prior",
+    [
+        dist.Gamma(2.0, 1.0),
+        torch.distributions.Gamma(2.0, 1.0),
+        dist.LogNormal(torch.tensor(-1.0 / 3.0), 0.5),
+        dist.Normal(torch.tensor([0.0, 1.0]), 2.0).to_event(1),
+        dist.HalfNormal(0.3).expand([3]).to_event(1),
+        dist.StudentT(4.0, 0.0, 2.0),
+        dist.MultivariateNormal(torch.zeros(2), torch.tensor([[2.0, 0.5], [0.5, 1.0]])),
+    ],
+)
+def test_a_distribution_is_stored_as_text_that_makes_the_same_one(prior):
+    settings = FitSettings(priors={"pull": prior})
+    again = parse_distribution(settings.priors["pull"])
+    assert again.batch_shape + again.event_shape == prior.batch_shape + prior.event_shape
+    value = prior.sample()
+    density = prior.log_prob(value).sum()
+    torch.testing.assert_close(again.log_prob(value).sum(), density)
+
+
+def test_a_distribution_that_has_no_text_is_refused():
+    odd = dist.TransformedDistribution(
+        dist.Normal(0.0, 1.0), [torch.distributions.transforms.TanhTransform()]
+    )
+    with pytest.raises(InputError, match="pull: prior: a TransformedDistribution cannot be"):
+        settings_from({"priors": {"pull": odd}})

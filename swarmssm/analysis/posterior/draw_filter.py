@@ -25,7 +25,7 @@ from swarmssm.inference.filtering.matrices import (
 )
 from swarmssm.models import KinematicTransition, StateSpaceModel, StepInputs
 from swarmssm.models.batch import presence
-from swarmssm.models.transitions.base import covariance_of
+from swarmssm.models.distributions.moments import covariance_of
 
 __all__ = ["Foreseen", "filter_draws"]
 

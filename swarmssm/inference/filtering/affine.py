@@ -9,7 +9,7 @@ from torch import Tensor
 
 from swarmssm.inference.filtering.matrices import block_diagonal, own_blocks
 from swarmssm.models import KinematicTransition, StateSpaceModel, StepInputs, SwarmBatch
-from swarmssm.models.transitions.base import covariance_of
+from swarmssm.models.distributions.moments import covariance_of
 
 __all__ = [
     "AffineMap",

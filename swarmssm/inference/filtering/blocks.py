@@ -18,7 +18,8 @@ from torch.func import jvp, vmap
 
 from swarmssm.graphs import EdgeList, Graph
 from swarmssm.models import StepInputs, Transition
-from swarmssm.models.transitions.base import Linearization, covariance_of
+from swarmssm.models.distributions.moments import covariance_of
+from swarmssm.models.transitions.base import Linearization
 
 __all__ = ["color_graph", "linearize_own"]
 

@@ -18,7 +18,7 @@ from swarmssm.models import (
     StepInputs,
     SwarmBatch,
 )
-from swarmssm.models.transitions.base import covariance_of
+from swarmssm.models.distributions.moments import covariance_of
 
 __all__ = ["JOINT_LIMIT", "Frames", "Layout", "Points", "frames_of"]
 

@@ -30,7 +30,7 @@ from swarmssm.models import (
     StateSpaceModel,
     SwarmBatch,
 )
-from swarmssm.models.transitions.base import covariance_of
+from swarmssm.models.distributions.moments import covariance_of
 
 __all__ = ["Expansion", "PositionPath"]
 

@@ -12,7 +12,7 @@ from swarmssm.inference.filtering.affine import AffineMap
 from swarmssm.inference.filtering.kalman import Filtered, filter_with
 from swarmssm.inference.filtering.matrices import block_diagonal, root
 from swarmssm.models import StateSpaceModel, StepInputs, SwarmBatch
-from swarmssm.models.transitions.base import covariance_of
+from swarmssm.models.distributions.moments import covariance_of
 
 __all__ = ["SigmaPoints", "unscented_kalman"]
 

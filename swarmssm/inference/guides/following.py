@@ -23,12 +23,12 @@ from swarmssm.inference.guides.context import SwarmContext
 from swarmssm.inference.guides.full_chain import FullChain
 from swarmssm.inference.guides.kinematic_chain import KinematicChain
 from swarmssm.models import SwarmBatch
+from swarmssm.models.distributions.moments import covariance_of
 from swarmssm.models.emissions import Emission
 from swarmssm.models.layers import multilayer_perceptron
 from swarmssm.models.markov import StepInputs
 from swarmssm.models.state_space import StateSpaceModel
 from swarmssm.models.transitions import KinematicTransition
-from swarmssm.models.transitions.base import covariance_of
 
 __all__ = ["ModelInformedGuide", "PosteriorParameters"]
 

@@ -8,7 +8,7 @@ from pyro.distributions import TorchDistribution
 from pyro.nn import PyroModule
 from torch.func import jvp
 
-from swarmssm.models.transitions.base import covariance_of
+from swarmssm.models.distributions.moments import covariance_of
 
 __all__ = ["Emission", "LinearizedEmission", "Observes", "slopes"]
 

@@ -1,22 +1,23 @@
 """What every transition offers: the distribution of the next states, and its linearisation."""
 
 from dataclasses import replace
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import torch
-from pyro.distributions import MultivariateStudentT, Normal, TorchDistribution
+from pyro.distributions import Normal, TorchDistribution
 from torch.func import jacfwd, vmap
 
 from swarmssm.errors import InputError
 from swarmssm.graphs import dense
 from swarmssm.models.batch import SwarmBatch
 from swarmssm.models.distributions.kinematic import Kinematic
+from swarmssm.models.distributions.moments import covariance_of, location_of
 from swarmssm.models.layers import check_sizes
 from swarmssm.models.markov import StepInputs
 from swarmssm.models.parts import LocalPyroModule
 from swarmssm.models.transitions.protocols import Form
 
-__all__ = ["KinematicTransition", "Linearization", "Transition", "covariance_of", "location_of"]
+__all__ = ["KinematicTransition", "Linearization", "Transition"]
 
 
 class Linearization(NamedTuple):
@@ -315,29 +316,3 @@ class KinematicTransition(Transition):
         first = first.unsqueeze(-3)
         positions = first[..., : self.space] + self.dt * torch.cumsum(free, dim=-3)
         return torch.cat([first, torch.cat([positions, free], dim=-1)], dim=-3)
-
-
-def location_of(following: TorchDistribution) -> torch.Tensor:
-    """Return the location of next states; of bodies, that of their next velocities.
-
-    Of a distribution that is limited in speed, the one before the limits.
-    """
-    if isinstance(following, Kinematic):
-        return location_of(following.velocity)
-    inner: Any = getattr(following, "base_dist", following)
-    location: torch.Tensor = getattr(inner, "loc", None)  # type: ignore[assignment]
-    return following.mean if location is None else location
-
-
-def covariance_of(distribution: TorchDistribution) -> torch.Tensor:
-    """Return the covariance matrices of a distribution over vectors."""
-    # What Pyro calls the covariance of a Student's t is its squared scale.
-    if isinstance(distribution, MultivariateStudentT):
-        degrees = distribution.df[..., None, None]
-        factor = torch.where(degrees > 2, degrees / (degrees - 2), torch.inf)
-        scaled: torch.Tensor = distribution.covariance_matrix * factor
-        return scaled
-    if hasattr(distribution, "covariance_matrix"):
-        matrix: torch.Tensor = distribution.covariance_matrix
-        return matrix
-    return torch.diag_embed(distribution.variance)

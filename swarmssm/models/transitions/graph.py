@@ -12,6 +12,7 @@ from torch import nn
 from swarmssm.errors import InputError
 from swarmssm.graphs import EdgeList, Graph, Pairs
 from swarmssm.models.batch import SwarmBatch
+from swarmssm.models.distributions.moments import covariance_of
 from swarmssm.models.emissions.student import DiagonalStudentT
 from swarmssm.models.interaction_network import USUAL_DEGREE, InteractionNetwork
 from swarmssm.models.markov import StepInputs
@@ -21,7 +22,6 @@ from swarmssm.models.scales import Scales
 from swarmssm.models.transitions.base import (
     KinematicTransition,
     Linearization,
-    covariance_of,
 )
 from swarmssm.models.transitions.soft_limits import SoftSpeedLimits
 

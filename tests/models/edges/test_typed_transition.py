@@ -6,6 +6,7 @@ import torch
 
 from swarmssm.errors import InputError
 from swarmssm.models import StepInputs
+from swarmssm.models.distributions.moments import location_of
 from swarmssm.models.distributions.speed_limits import SpeedLimited
 from swarmssm.models.emissions.student import DiagonalStudentT
 from swarmssm.models.transitions import (
@@ -16,7 +17,6 @@ from swarmssm.models.transitions import (
     TypedTransition,
     typed,
 )
-from swarmssm.models.transitions.base import location_of
 from swarmssm.models.transitions.typed import displaced
 
 DOUBLE = torch.float64
