@@ -1,6 +1,7 @@
 """``analyze``: what a fitted run says of forces, rules, latents and influence, and how surely."""
 
 from collections.abc import Sequence
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -24,6 +25,18 @@ from swarmssm.files import check_output, write_beside
 
 __all__ = ["analyze"]
 
+#: Millimetres in each unit of a width, and the largest width.
+UNITS = {"mm": 1.0, "cm": 10.0, "in": 25.4}
+WIDEST = 2000.0
+
+
+class FigureFormat(StrEnum):
+    """Formats of figures for a paper."""
+
+    pdf = "pdf"
+    svg = "svg"
+    png = "png"
+
 
 def analyze(
     run: Run,
@@ -31,6 +44,19 @@ def analyze(
     out: Annotated[Path, typer.Option(help="NetCDF file to write, a group for each analysis.")],
     report: Annotated[
         Path | None, typer.Option(help="HTML page to write. Default: as OUT, ending in .html.")
+    ] = None,
+    figures: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Folder for the figures, a csv file of each table, and a Methods paragraph.",
+        ),
+    ] = None,
+    figure_format: Annotated[
+        FigureFormat, typer.Option(help="Of the figures in DIR.")
+    ] = FigureFormat.pdf,
+    width: Annotated[
+        str | None, typer.Option(help="Width of the figures in DIR, such as 85mm.")
     ] = None,
     draws: Annotated[int, typer.Option(help="Draws of paths from the posterior.")] = 20,
     part: Annotated[
@@ -69,12 +95,18 @@ def analyze(
     from swarmssm.analysis.interpretation.analyze import analyze as all_analyses
     from swarmssm.analysis.interpretation.summary import formatted_summary
     from swarmssm.analysis.report.analysis_page import report_analysis
+    from swarmssm.analysis.report.figures import check_folder, write_analysis_files
 
     page = out.with_suffix(".html") if report is None else report
     check_output(out, overwrite=overwrite)
     check_output(page, overwrite=overwrite)
     if page.resolve() == out.resolve():
         raise InputError(f"{out}: data and report cannot be one file. Name another with --report.")
+    if figures is None and width is not None:
+        raise InputError("--width: it is that of the figures in a folder. Name one with --figures.")
+    millimetres = None if width is None else _millimetres(width)
+    if figures is not None:
+        check_folder(figures, overwrite=overwrite)
     options = _options(settings or [])
     chosen = None if only is None else [name.strip() for name in only.split(",")]
     fitted = inference.Fit.load(run, trust_code=trust_code)
@@ -97,6 +129,16 @@ def analyze(
     with write_beside(out, overwrite=overwrite) as temporary:
         found.write(temporary, overwrite=True)
         report_analysis(found, fitted, tracks, page, overwrite=overwrite)
+    if figures is not None:
+        write_analysis_files(
+            found,
+            fitted,
+            tracks,
+            figures,
+            format=figure_format.value,
+            width=millimetres,
+            overwrite=overwrite,
+        )
     if format is TableFormat.json:
         print_json(
             {
@@ -111,7 +153,24 @@ def analyze(
     print_rows(f"{run} on {file}", formatted_summary(found.datasets))
     for note in found.notes:
         say(note)
+    if figures is not None:
+        say(f"{figures}: written, with figures, tables and methods.md.")
     say(f"{out}: written. {page}: written; open it in a browser.")
+
+
+def _millimetres(text: str) -> float:
+    """Read a width such as ``85mm``, ``8.5cm`` or ``3.3in``."""
+    for unit, size in UNITS.items():
+        number = text.strip().removesuffix(unit)
+        if number != text.strip():
+            try:
+                width = float(number) * size
+            except ValueError:
+                break
+            if 0.0 < width < WIDEST:
+                return width
+            break
+    raise InputError(f"--width: {text!r} is not a width such as 85mm, 8.5cm or 3.3in.")
 
 
 def _options(pairs: Sequence[str]) -> dict[str, dict[str, Any]]:

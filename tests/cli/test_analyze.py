@@ -52,7 +52,22 @@ def test_json_and_options_and_the_name_of_the_page(swarmssm, flock_file, run_fol
         assert maps.sizes["front_back"] == 5
 
 
+def test_figures_for_a_paper_are_written(swarmssm, flock_file, run_folder, tmp_path):
+    result = swarmssm(
+        *("analyze", run_folder, flock_file, "--out", "a.nc", "--only", "forces", "--draws", 1),
+        *("--no-scores", "--figures", "paper", "--figure-format", "svg", "--width", "8.5cm"),
+    )
+    assert result.status == 0, result.err
+    names = {path.name for path in (tmp_path / "paper").iterdir()}
+    assert {"forces.csv", "methods.md"} <= names
+    drawn = next(name for name in names if name.endswith(".svg"))
+    # 85 mm are 240.9 points.
+    assert 'width="240.9' in (tmp_path / "paper" / drawn).read_text()
+
+
 MISTAKES = {
+    "no width": (["{run}", "{flock}", "--figures", "d", "--width", "wide"], "85mm"),
+    "width alone": (["{run}", "{flock}", "--width", "85mm"], "--figures"),
     "no run": (["absent", "{flock}"], "absent"),
     "no tracks": (["{run}", "absent.nc"], "absent.nc"),
     "unknown part": (["{run}", "{flock}", "--part", "last"], "part"),

@@ -79,7 +79,6 @@ LESS = {
     },
     "which-rule-do-my-fish-follow": {
         "slice(0, 100)": "slice(0, 40)",
-        "range(85, 95, 2)": "range(33, 35)",
         "--model kernel": f"--model kernel {SHORT}",
         "--draws 10": "--draws 4",
     },
