@@ -25,10 +25,6 @@ from swarmssm.files import check_output, write_beside
 
 __all__ = ["analyze"]
 
-#: Millimetres in each unit of a width, and the largest width.
-UNITS = {"mm": 1.0, "cm": 10.0, "in": 25.4}
-WIDEST = 2000.0
-
 
 class FigureFormat(StrEnum):
     """Formats of figures for a paper."""
@@ -94,6 +90,7 @@ def analyze(
     from swarmssm.analysis.interpretation.analyze import TITLES
     from swarmssm.analysis.interpretation.analyze import analyze as all_analyses
     from swarmssm.analysis.interpretation.summary import formatted_summary
+    from swarmssm.analysis.plots.style import millimetres
     from swarmssm.analysis.report.analysis_page import report_analysis
     from swarmssm.analysis.report.figures import check_folder, write_analysis_files
 
@@ -104,7 +101,8 @@ def analyze(
         raise InputError(f"{out}: data and report cannot be one file. Name another with --report.")
     if figures is None and width is not None:
         raise InputError("--width: it is that of the figures in a folder. Name one with --figures.")
-    millimetres = None if width is None else _millimetres(width)
+    if width is not None:
+        millimetres(width)
     if figures is not None:
         check_folder(figures, overwrite=overwrite)
     options = _options(settings or [])
@@ -136,7 +134,7 @@ def analyze(
             tracks,
             figures,
             format=figure_format.value,
-            width=millimetres,
+            width=width,
             overwrite=overwrite,
         )
     if format is TableFormat.json:
@@ -156,21 +154,6 @@ def analyze(
     if figures is not None:
         say(f"{figures}: written, with figures, tables and methods.md.")
     say(f"{out}: written. {page}: written; open it in a browser.")
-
-
-def _millimetres(text: str) -> float:
-    """Read a width such as ``85mm``, ``8.5cm`` or ``3.3in``."""
-    for unit, size in UNITS.items():
-        number = text.strip().removesuffix(unit)
-        if number != text.strip():
-            try:
-                width = float(number) * size
-            except ValueError:
-                break
-            if 0.0 < width < WIDEST:
-                return width
-            break
-    raise InputError(f"--width: {text!r} is not a width such as 85mm, 8.5cm or 3.3in.")
 
 
 def _options(pairs: Sequence[str]) -> dict[str, dict[str, Any]]:

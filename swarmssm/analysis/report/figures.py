@@ -1,45 +1,57 @@
 """Figures, tables and a Methods paragraph of an analysis as files for a paper."""
 
 import os
-import re
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Literal
 
-import pandas as pd
 import xarray as xr
 from matplotlib.figure import Figure
 
+from swarmssm.analysis import plots
 from swarmssm.analysis.interpretation.methods import methods_text
 from swarmssm.analysis.interpretation.result import Analysis
 from swarmssm.analysis.interpretation.tables import write_tables
 from swarmssm.analysis.plots.style import save_figure
-from swarmssm.analysis.report.contents import CONTENTS
 from swarmssm.errors import InputError, WorkError
 from swarmssm.inference import Fit
 
 __all__ = ["check_folder", "figures_of", "write_analysis_files"]
 
 
-def figures_of(results: Mapping[str, Any]) -> Iterator[tuple[str, Figure]]:
-    """Yield the figures of a report, each with a name for its file.
+#: Name of the file, the dataset that is drawn, and the plot of it.
+FIGURES: tuple[tuple[str, str, Callable[[xr.Dataset], Any]], ...] = (
+    ("force-shares", "forces", plots.plot_force_shares),
+    ("forces-over-time", "forces", plots.plot_force_magnitudes),
+    ("force-arrows", "forces", plots.plot_force_arrows),
+    ("kernels", "kernels", plots.plot_kernels),
+    ("modulation", "kernels", plots.plot_modulation),
+    ("force-maps", "force_maps", plots.plot_force_maps),
+    ("latent-sources", "latents", plots.plot_sources),
+    ("latents", "latents", plots.plot_latents),
+    ("latent-axes", "latents", plots.plot_rotated_axes),
+    ("leadership", "influence", plots.plot_leadership),
+    ("influence-network", "influence", plots.plot_influence_network),
+    ("influence-matrix", "influence", plots.plot_influence_matrix),
+    ("delays", "delays", plots.plot_delays),
+    ("edge-probabilities", "edges", plots.plot_edge_probabilities),
+    ("scores", "scores", plots.plot_scores),
+)
+#: A variable that a dataset must have for a plot, where not all have it.
+ASKS = {"modulation": "modulation", "latent-axes": "axis_r2"}
 
-    Parameters
-    ----------
-    results
-        By the names that ``Content.needs`` asks for, such as the datasets of an analysis.
-    """
-    for content in CONTENTS:
-        made = None if results.get(content.needs) is None else content.make(results[content.needs])
-        if made is None or isinstance(made, pd.DataFrame):
+
+def figures_of(analysis: Analysis) -> Iterator[tuple[str, Figure]]:
+    """Yield the figures of an analysis, each with a name for its file."""
+    datasets = analysis.datasets
+    for name, which, plot in FIGURES:
+        found = datasets.get(which)
+        if found is None or ASKS.get(name, "") not in {"", *map(str, found)}:
             continue
-        if isinstance(made, tuple):
-            made = made[0]
-        drawn = [made] if isinstance(made, Figure) else list(made)
-        name = re.sub(r"[^a-z0-9]+", "-", f"{content.section} {content.title}".lower()).strip("-")
-        for index, figure in enumerate(drawn, start=1):
-            yield name if len(drawn) == 1 else f"{name}-{index}", figure
+        if which == "influence" and not found["influence"].notnull().any():
+            continue
+        yield name, plot(found)[0]
 
 
 def check_folder(folder: Path, *, overwrite: bool = False) -> None:
@@ -65,7 +77,7 @@ def write_analysis_files(
     folder: str | Path,
     *,
     format: Literal["pdf", "svg", "png"] = "pdf",
-    width: float | None = None,
+    width: float | str | None = None,
     overwrite: bool = False,
 ) -> list[Path]:
     """Write the figures, a csv of each table behind them, and ``methods.md``.
@@ -79,7 +91,7 @@ def write_analysis_files(
     format
         Of the figures.
     width
-        Of the figures in mm; absent, as they are drawn for a page.
+        Of the figures in mm, or text such as ``"85mm"``; absent, as they are drawn for a page.
     overwrite
         Whether files of the same names are replaced. Others stay.
 
@@ -99,7 +111,7 @@ def write_analysis_files(
     try:
         with tempfile.TemporaryDirectory(prefix=".figures-", dir=folder.resolve().parent) as name:
             beside = Path(name)
-            for title, figure in figures_of(analysis.datasets):
+            for title, figure in figures_of(analysis):
                 save_figure(figure, beside / f"{title}.{format}", width)
             write_tables(analysis.to_pandas(), beside)
             text = methods_text(analysis, fit, tracks)

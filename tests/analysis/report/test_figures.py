@@ -1,29 +1,10 @@
 """Figures for a paper: files of a given width, with embedded fonts, their numbers and Methods."""
 
-import re
-
 import pandas as pd
 import pytest
 
-from swarmssm.analysis.plots import plot_force_shares
-from swarmssm.analysis.plots.style import save_figure
 from swarmssm.analysis.report.figures import write_analysis_files
 from swarmssm.errors import InputError
-
-
-def test_a_figure_is_as_wide_as_asked_and_its_text_is_text(flock, tmp_path):
-    figure, _ = plot_force_shares(flock.forces)
-    save_figure(figure, tmp_path / "a.svg", 85.0)
-    text = (tmp_path / "a.svg").read_text()
-    points = float(re.search(r'<svg[^>]* width="([\d.]+)pt"', text)[1])
-    assert points / 72 * 25.4 == pytest.approx(85.0, abs=0.1)
-    assert "alignment</text>" in text
-    save_figure(figure, tmp_path / "a.pdf", 85.0)
-    data = (tmp_path / "a.pdf").read_bytes()
-    assert b"/Subtype /Type0" in data
-    assert b"/Type3" not in data
-    with pytest.raises(InputError, match="width"):
-        save_figure(figure, tmp_path / "b.pdf", 0.0)
 
 
 def test_a_folder_holds_figures_tables_and_methods(flock, quick_fit, boids, tmp_path):
