@@ -15,7 +15,7 @@ from swarmssm.baselines.sindy import SindyBoids, SparseAcceleration
 from swarmssm.baselines.social_terms import social_terms
 from swarmssm.errors import InputError
 from swarmssm.graphs import GraphRule
-from swarmssm.simulate import Boids, law_of
+from swarmssm.simulate import Boids, dynamics_of
 from swarmssm.tracks import Array
 
 __all__ = ["BoidsForms", "SindyOracle"]
@@ -61,7 +61,7 @@ class BoidsForms:
         """
         if "simulation" not in tracks.attrs:
             raise InputError(f"{UNKNOWN}. These tracks do not say that they were simulated.")
-        law = law_of(tracks)
+        law = dynamics_of(tracks)
         if (
             not isinstance(law, Boids)
             or law.form != "acceleration"

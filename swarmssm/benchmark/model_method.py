@@ -44,7 +44,7 @@ class ModelMethod:
 
     def knows_true_form(self, task: Task) -> bool:
         """Return whether the model holds the very forms that the tracks were made by."""
-        law = json.loads(task.tracks.attrs.get("simulation", "{}")).get("law")
+        law = json.loads(task.tracks.attrs.get("simulation", "{}")).get("dynamics")
         return self.knows_boids and law == "boids"
 
     def fit(self, task: Task, seconds: float | None, seed: int) -> Fit:

@@ -9,7 +9,7 @@ from swarmssm.analysis.scoring.baseline import Baseline
 from swarmssm.benchmark.task import Task
 from swarmssm.errors import InputError
 from swarmssm.metrics.masked import known
-from swarmssm.simulate import Law, law_of
+from swarmssm.simulate import Dynamics, dynamics_of
 from swarmssm.simulate.particles import Particles
 from swarmssm.tracks import Array
 
@@ -26,7 +26,7 @@ class TrueRule(Baseline):
     title: ClassVar[str] = "true rule (noise floor)"
     knows_true_form: ClassVar[bool] = True
 
-    def __init__(self, law: Law) -> None:
+    def __init__(self, law: Dynamics) -> None:
         super().__init__()
         self.law = law
 
@@ -83,7 +83,7 @@ def true_rule(task: Task) -> TrueRule:
     InputError
         If it is not known, needs states that are not, or is free of noise.
     """
-    law = law_of(task.tracks)
+    law = dynamics_of(task.tracks)
     if isinstance(law, Particles):
         raise InputError("noise-floor: the particles move without noise, so that the floor is 0.")
     if not task.exact:

@@ -54,14 +54,16 @@ def _boids(
     observation_noise: ObservationNoise = 0.0,
     leader: Annotated[
         int | None,
-        typer.Option(help="Place (from 0) of one whom all others follow and who heeds nobody."),
+        typer.Option(
+            help="Index (from 0) of a leader: others follow it, and it responds to nobody."
+        ),
     ] = None,
     leader_strength: Annotated[
         float, typer.Option(help="How many times the leader counts for the others.")
     ] = 3.0,
-    loner: Annotated[
+    isolated: Annotated[
         int | None,
-        typer.Option(help="Place (from 0) of one who heeds nobody and whom nobody heeds."),
+        typer.Option(help="Index (from 0) of an individual that interacts with nobody."),
     ] = None,
     seed: Seed = 0,
     further: Further = None,
@@ -77,13 +79,13 @@ def _boids(
         "dt": dt,
         "process_noise": process_noise,
     }
-    if leader is not None or loner is not None:
+    if leader is not None or isolated is not None:
         if "attention" in named_values(further or [], "--set"):
             raise InputError(
-                "--set: attention says all of who heeds whom; leave out --leader and --loner."
+                "--set: attention gives all weights; leave out --leader and --isolated."
             )
         given["attention"] = planted_attention(
-            individuals, leader=leader, strength=leader_strength, loner=loner
+            individuals, leader=leader, strength=leader_strength, isolated=isolated
         )
     _write(
         simulate_boids,

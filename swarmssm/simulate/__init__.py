@@ -2,9 +2,9 @@
 
 from swarmssm.simulate.boids import Boids, simulate_boids
 from swarmssm.simulate.couzin import Couzin, simulate_couzin
-from swarmssm.simulate.laws import law_of
+from swarmssm.simulate.dynamics import dynamics_of
 from swarmssm.simulate.particles import Charged, Springs, simulate_charged, simulate_springs
-from swarmssm.simulate.recording import Law
+from swarmssm.simulate.recording import Dynamics
 from swarmssm.simulate.truth import add_truth
 from swarmssm.simulate.vicsek import Vicsek, simulate_vicsek
 
@@ -12,11 +12,11 @@ __all__ = [
     "Boids",
     "Charged",
     "Couzin",
-    "Law",
+    "Dynamics",
     "Springs",
     "Vicsek",
     "add_truth",
-    "law_of",
+    "dynamics_of",
     "simulate_boids",
     "simulate_charged",
     "simulate_couzin",

@@ -1,4 +1,4 @@
-"""Who heeds whom, and how much: weights of pairs with which leaders and loners are planted."""
+"""Weights of pairs: how much each responds to each other; leaders and isolated ones."""
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,7 @@ def planted_attention(
     leader: int | None = None,
     strength: float = 3.0,
     heeds: float = 0.0,
-    loner: int | None = None,
+    isolated: int | None = None,
 ) -> npt.NDArray[np.float64]:
     """Return weights by which one individual leads, or one neither moves others nor is moved.
 
@@ -34,7 +34,7 @@ def planted_attention(
         Weight of the leader; all other pairs have 1.
     heeds
         Weight with which the leader counts the others.
-    loner
+    isolated
         Place of one who counts nobody and whom nobody counts.
 
     Returns
@@ -45,30 +45,30 @@ def planted_attention(
     Raises
     ------
     InputError
-        If a place or weight is out of range, or the leader and the loner are one.
+        If a place or weight is out of range, or the leader is the isolated one.
     """
     check_size("individuals", individuals, 1)
     check_number("strength", strength)
     check_number("heeds", heeds)
-    for name, place in (("leader", leader), ("loner", loner)):
+    for name, place in (("leader", leader), ("isolated", isolated)):
         if place is not None and check_size(name, place, 0) >= individuals:
             raise InputError(
                 f"{name}: the places are from 0 to {individuals - 1}, and it is {place}."
             )
-    if leader is not None and leader == loner:
-        raise InputError("loner: it is the leader too; choose another.")
+    if leader is not None and leader == isolated:
+        raise InputError("isolated: it is the leader too; choose another.")
     weights = np.ones((individuals, individuals))
     if leader is not None:
         weights[:, leader] = strength
         weights[leader] = heeds
-    if loner is not None:
-        weights[:, loner] = weights[loner] = 0.0
+    if isolated is not None:
+        weights[:, isolated] = weights[isolated] = 0.0
     np.fill_diagonal(weights, 1.0)
     return weights
 
 
 def attention_given(values: npt.ArrayLike, individuals: int | None = None) -> Attention:
-    """Return weights as a law keeps them.
+    """Return weights as the dynamics keep them.
 
     Parameters
     ----------

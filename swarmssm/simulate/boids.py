@@ -57,7 +57,7 @@ GAINS = {
 
 @dataclasses.dataclass(frozen=True)
 class Boids:
-    """The law of motion of :func:`simulate_boids`, which documents the parameters."""
+    """The dynamics of :func:`simulate_boids`, which documents the parameters."""
 
     form: str
     dt: float
@@ -185,7 +185,7 @@ class Boids:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> "Boids":
-        """Return the law that :meth:`to_dict` described."""
+        """Return the dynamics that :meth:`to_dict` described."""
         limit = values["max_speed"]
         # Recordings of older versions say nothing of it.
         attention = values.get("attention")
@@ -287,7 +287,8 @@ def simulate_boids(
         sum in S and, after the division by the number of neighbors, to the means in C and A:
         :math:`C_i = \sum_j w_{ij} (p_j - p_i) / |\mathcal{N}_i|`. One with weight 0 is in sight and
         counted among the neighbors, and moves i in no way.
-        :func:`~swarmssm.simulate.attention.planted_attention` makes a leader or a loner.
+        :func:`~swarmssm.simulate.attention.planted_attention` makes a leader or an isolated
+        individual.
     observation_noise
         Standard deviation of what is added to each coordinate of the recorded positions.
     seed
@@ -317,7 +318,7 @@ def simulate_boids(
         Only with observation noise. ``position`` is then the noisy one, and there is no
         ``velocity``; without it ``velocity`` is exact.
 
-    ``attrs["simulation"]`` holds all parameters as JSON (:func:`~swarmssm.simulate.law_of`).
+    ``attrs["simulation"]`` holds all parameters as JSON (:func:`~swarmssm.simulate.dynamics_of`).
 
     Raises
     ------
@@ -345,7 +346,7 @@ def simulate_boids(
         "process_noise": process_noise,
     }
     chosen = {name: value for name, value in given.items() if value is not None}
-    law = Boids(
+    dynamics = Boids(
         form=form,
         dt=dt,
         space=space,
@@ -358,7 +359,7 @@ def simulate_boids(
         **{**DEFAULTS[form], **chosen},
     )
     return record(
-        law,
+        dynamics,
         individuals=individuals,
         steps=steps,
         trials=trials,

@@ -26,7 +26,7 @@ __all__ = ["Couzin", "simulate_couzin"]
 
 @dataclasses.dataclass(frozen=True)
 class Couzin:
-    """The law of motion of :func:`simulate_couzin`, which documents the parameters."""
+    """The dynamics of :func:`simulate_couzin`, which documents the parameters."""
 
     dt: float
     space: int
@@ -125,7 +125,7 @@ class Couzin:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> "Couzin":
-        """Return the law that :meth:`to_dict` described."""
+        """Return the dynamics that :meth:`to_dict` described."""
         return cls(**values)
 
 
@@ -202,7 +202,7 @@ def simulate_couzin(
     ----------
     Couzin, Krause, James, Ruxton and Franks (2002), J. Theor. Biol. 218:1.
     """
-    law = Couzin(
+    dynamics = Couzin(
         dt=dt,
         space=space,
         speed=speed,
@@ -214,7 +214,7 @@ def simulate_couzin(
         process_noise=process_noise,
     )
     return record(
-        law,
+        dynamics,
         individuals=individuals,
         steps=steps,
         trials=trials,

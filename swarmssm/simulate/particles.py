@@ -36,7 +36,7 @@ class Particles:
     """What springs and charges share; :func:`simulate_springs` documents the parameters.
 
     ``edge_type (..., individual, neighbor)`` says which pairs are joined how. It belongs to the
-    trial, not to the law, so that :meth:`to_dict` leaves it out.
+    trial, not to the dynamics, so that :meth:`to_dict` leaves it out.
     """
 
     dt: float
@@ -149,13 +149,13 @@ class Particles:
         """Return the edge types, or say that they are needed."""
         if self.edge_type is None:
             raise InputError(
-                f"simulate {self.name}: who is joined with whom is not known. Give the law its "
+                f"simulate {self.name}: the edge types are not known. Give the dynamics their "
                 "edge_type."
             )
         return self.edge_type
 
     def with_edges(self, edge_type: Tensor) -> Self:
-        """Return the same law for pairs joined like this."""
+        """Return the same dynamics for pairs joined like this."""
         return dataclasses.replace(self, edge_type=edge_type)
 
     def to_dict(self) -> dict[str, Any]:
@@ -165,12 +165,12 @@ class Particles:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Self:
-        """Return the law that :meth:`to_dict` described."""
+        """Return the dynamics that :meth:`to_dict` described."""
         return cls(**values)
 
 
 class Springs(Particles):
-    """The law of motion of :func:`simulate_springs`; edge type 1 is a spring."""
+    """The dynamics of :func:`simulate_springs`; edge type 1 is a spring."""
 
     name: ClassVar[str] = "springs"
     terms: ClassVar[tuple[str, ...]] = ("spring",)
@@ -185,7 +185,7 @@ class Springs(Particles):
 
 
 class Charged(Particles):
-    """The law of motion of :func:`simulate_charged`; edge type 0 attracts, 1 repels."""
+    """The dynamics of :func:`simulate_charged`; edge type 0 attracts, 1 repels."""
 
     name: ClassVar[str] = "charged"
     terms: ClassVar[tuple[str, ...]] = ("charge",)
@@ -280,7 +280,7 @@ def simulate_springs(
         Only with observation noise. ``position`` is then the noisy one, and there is no
         ``velocity``.
 
-    ``attrs["simulation"]`` holds all parameters as JSON (:func:`~swarmssm.simulate.law_of`).
+    ``attrs["simulation"]`` holds all parameters as JSON (:func:`~swarmssm.simulate.dynamics_of`).
 
     Raises
     ------
@@ -292,7 +292,9 @@ def simulate_springs(
     Kipf, Fetaya, Wang, Welling and Zemel (2018), Neural relational inference for interacting
     systems, ICML.
     """
-    law = Springs(dt, substeps, space, strength, half_width, start_spread, start_speed, max_force)
+    dynamics = Springs(
+        dt, substeps, space, strength, half_width, start_spread, start_speed, max_force
+    )
     check_number("edge_probability", edge_probability, most=1.0)
     start = _Start(individuals, steps, trials, seed, burn_in, initial_position, initial_velocity)
     given = None if springs is None else _pairs_given(springs, trials, individuals)
@@ -304,7 +306,7 @@ def simulate_springs(
         upper = (drawn < edge_probability).triu(1)
         return (upper | upper.mT).to(torch.uint8)
 
-    return _record(law, start, draw, given, switch_every, observation_noise)
+    return _record(dynamics, start, draw, given, switch_every, observation_noise)
 
 
 def simulate_charged(
@@ -366,7 +368,9 @@ def simulate_charged(
     Kipf, Fetaya, Wang, Welling and Zemel (2018), Neural relational inference for interacting
     systems, ICML.
     """
-    law = Charged(dt, substeps, space, strength, half_width, start_spread, start_speed, max_force)
+    dynamics = Charged(
+        dt, substeps, space, strength, half_width, start_spread, start_speed, max_force
+    )
     check_number("positive_probability", positive_probability, most=1.0)
     start = _Start(individuals, steps, trials, seed, burn_in, initial_position, initial_velocity)
     given = None if charges is None else _repelling(_charges(charges, trials, individuals))
@@ -375,7 +379,7 @@ def simulate_charged(
         drawn = torch.rand((trials, individuals), dtype=torch.float64, generator=generator)
         return _repelling(drawn < positive_probability)
 
-    return _record(law, start, draw, given, switch_every, observation_noise)
+    return _record(dynamics, start, draw, given, switch_every, observation_noise)
 
 
 @dataclasses.dataclass
@@ -394,15 +398,15 @@ class _Start:
         for name, least in (("individuals", 1), ("steps", 2), ("trials", 1), ("burn_in", 0)):
             check_size(name, getattr(self, name), least)
 
-    def draw(self, law: Particles, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+    def draw(self, dynamics: Particles, generator: torch.Generator) -> tuple[Tensor, Tensor]:
         """Return positions and velocities ``(trial, individual, space)``."""
-        positions, velocities = law.start(self.trials, self.individuals, generator)
+        positions, velocities = dynamics.start(self.trials, self.individuals, generator)
         if self.position is not None:
             positions = initial_state("initial_position", self.position, positions)
-            if bool((positions.abs() > law.half_width).any()):
+            if bool((positions.abs() > dynamics.half_width).any()):
                 raise InputError(
                     "initial_position: somebody is outside the box, whose half_width is "
-                    f"{law.half_width:g}."
+                    f"{dynamics.half_width:g}."
                 )
         if self.velocity is not None:
             velocities = initial_state("initial_velocity", self.velocity, velocities)
@@ -410,7 +414,7 @@ class _Start:
 
 
 def _record(
-    law: Particles,
+    dynamics: Particles,
     start: _Start,
     draw: Any,
     given: Tensor | None,
@@ -426,7 +430,7 @@ def _record(
                 "switch_every: the pairs are given, so that none are drawn. Leave one of them out."
             )
     generator = generator_of(start.seed)
-    positions, velocities = start.draw(law, generator)
+    positions, velocities = start.draw(dynamics, generator)
     frames = start.burn_in + start.steps
     period = frames if switch_every is None else switch_every
     epochs = [draw(generator) if given is None else given for _ in range(-(-frames // period))]
@@ -440,9 +444,9 @@ def _record(
         _by_trials(epochs),
         strict=True,
     )
-    flown = [_fly(law, *part, frames, period) for part in parts]
+    flown = [_fly(dynamics, *part, frames, period) for part in parts]
     states = [torch.cat(values)[:, start.burn_in :] for values in zip(*flown, strict=True)]
-    return _labelled(law, start, states, edge_type[:, start.burn_in :], noise, switch_every,
+    return _labelled(dynamics, start, states, edge_type[:, start.burn_in :], noise, switch_every,
                      observation_noise)  # fmt: skip
 
 
@@ -454,7 +458,7 @@ def _by_trials(epochs: list[Tensor]) -> list[list[Tensor]]:
 
 
 def _fly(
-    law: Particles,
+    dynamics: Particles,
     positions: Tensor,
     velocities: Tensor,
     epochs: list[Tensor],
@@ -470,10 +474,10 @@ def _fly(
     for frame in range(frames):
         if frame % period == 0:
             kinds = epochs[frame // period].permute(1, 2, 0).to(place.dtype).contiguous()
-            force = law.acceleration(place, kinds)
+            force = dynamics.acceleration(place, kinds)
         for values, value in zip(kept, (place, speed, force), strict=True):
             values.append(value)
-        place, speed, force = law.fly(place, speed, force, kinds)
+        place, speed, force = dynamics.fly(place, speed, force, kinds)
     for values, value in zip(kept, (place, speed, force), strict=True):
         values.append(value)
     whole = [torch.stack(values).permute(3, 0, 2, 1) for values in kept]
@@ -481,7 +485,7 @@ def _fly(
 
 
 def _labelled(
-    law: Particles,
+    dynamics: Particles,
     start: _Start,
     states: list[Tensor],
     edge_type: Tensor,
@@ -500,8 +504,8 @@ def _labelled(
         **({} if exact else {"true_position": place[:, :-1], "true_velocity": speed[:, :-1]}),
     }
     settings = {
-        **law.to_dict(),
-        "law": law.name,
+        **dynamics.to_dict(),
+        "dynamics": dynamics.name,
         "observation_noise": observation_noise,
         "burn_in": start.burn_in,
         "switch_every": switch_every,
@@ -509,9 +513,9 @@ def _labelled(
     }
     tracks = make_tracks(
         place[:, :-1] + noise.numpy(),
-        fps=1.0 / law.dt,
+        fps=1.0 / dynamics.dt,
         velocity=speed[:, :-1] if exact else None,
-        adjacency=law.joined(edge_type).numpy(),
+        adjacency=dynamics.joined(edge_type).numpy(),
         variables={
             **{name: (dims, np.swapaxes(value, -1, -2)) for name, value in truth.items()},
             "edge_type": (edge_dims, edge_type.numpy()),
@@ -521,8 +525,8 @@ def _labelled(
     )
     force_dims = ("trial", "time", "term", "space", "individual")
     shown = np.swapaxes(force[:, :-1], -1, -2)[:, :, None]
-    tracks = tracks.assign_coords(term=list(law.terms)).assign(
-        force=(force_dims, shown, {"meaning": law.force_meaning})
+    tracks = tracks.assign_coords(term=list(dynamics.terms)).assign(
+        force=(force_dims, shown, {"meaning": dynamics.force_meaning})
     )
     tracks["next_position"].attrs["meaning"] = "true position one step later"
     tracks["next_velocity"].attrs["meaning"] = "true velocity one step later"

@@ -1,4 +1,4 @@
-"""Run a law of motion, and write down what happened together with the truth behind it."""
+"""Run dynamics, and write down what happened together with the truth behind it."""
 
 import json
 import math
@@ -16,7 +16,7 @@ from swarmssm.graphs import GraphRule
 from swarmssm.tracks import make_tracks
 
 __all__ = [
-    "Law",
+    "Dynamics",
     "check_choice",
     "check_number",
     "check_size",
@@ -31,7 +31,7 @@ __all__ = [
 FARTHEST = 1e12
 
 
-class Law(Protocol):
+class Dynamics(Protocol):
     """How a group moves in one step. All tensors ``(..., individual, space)``, float64."""
 
     name: ClassVar[str]
@@ -62,7 +62,7 @@ class Law(Protocol):
         """Draw positions and velocities to begin with, ``(trial, individual, space)``."""
 
     def begin(self, velocities: Tensor) -> Tensor:
-        """Return the velocities that the law can begin with, nearest to the given ones."""
+        """Return the velocities that the dynamics can begin with, nearest to the given ones."""
 
     def forces(self, positions: Tensor, velocities: Tensor) -> tuple[Tensor, Tensor]:
         """Return forces ``(..., term, individual, space)`` and the graph that they act along."""
@@ -81,7 +81,7 @@ class Law(Protocol):
 
 
 def record(
-    law: Law,
+    dynamics: Dynamics,
     *,
     individuals: int,
     steps: int,
@@ -92,7 +92,7 @@ def record(
     initial_position: npt.ArrayLike | None,
     initial_velocity: npt.ArrayLike | None,
 ) -> xr.Dataset:
-    """Run the law, all trials in one batch, and return the tracks with the truth.
+    """Run the dynamics, all trials in one batch, and return the tracks with the truth.
 
     Parameters are those that the simulators share, see :func:`swarmssm.simulate.simulate_boids`.
 
@@ -112,37 +112,37 @@ def record(
         check_size(name, count, least)
     check_number("observation_noise", observation_noise)
     generator = generator_of(seed)
-    positions, velocities = law.start(trials, individuals, generator)
+    positions, velocities = dynamics.start(trials, individuals, generator)
     if initial_position is not None:
         positions = initial_state("initial_position", initial_position, positions)
     if initial_velocity is not None:
-        velocities = law.begin(initial_state("initial_velocity", initial_velocity, velocities))
+        velocities = dynamics.begin(initial_state("initial_velocity", initial_velocity, velocities))
 
-    shape = (trials, steps, individuals, law.space)
+    shape = (trials, steps, individuals, dynamics.space)
     kept = {
         name: torch.empty(shape, dtype=torch.float64)
         for name in ("position", "velocity", "next_position", "next_velocity")
     }
-    forces = torch.empty((trials, steps, len(law.terms), *shape[2:]), dtype=torch.float64)
+    forces = torch.empty((trials, steps, len(dynamics.terms), *shape[2:]), dtype=torch.float64)
     edges = torch.empty((*shape[:-1], individuals), dtype=torch.uint8)
     for step in range(-burn_in, steps):
-        force, graph = law.forces(positions, velocities)
+        force, graph = dynamics.forces(positions, velocities)
         if step >= 0:
-            expected = law.move(positions, velocities, force)
+            expected = dynamics.move(positions, velocities, force)
             now = (positions, velocities, *expected)
             for target, value in zip(kept.values(), now, strict=True):
                 target[:, step] = value
             forces[:, step], edges[:, step] = force, graph
         if step == steps - 1:
             break
-        positions, velocities = law.move(positions, velocities, force, generator)
+        positions, velocities = dynamics.move(positions, velocities, force, generator)
         if not (positions.abs() < FARTHEST).all():
             raise WorkError(
-                f"simulate {law.name}: in step {step + burn_in + 1} of {steps + burn_in} a "
-                f"position left the finite numbers. {law.remedy}"
+                f"simulate {dynamics.name}: in step {step + burn_in + 1} of {steps + burn_in} a "
+                f"position left the finite numbers. {dynamics.remedy}"
             )
     noise = observation_noise * torch.randn(shape, dtype=torch.float64, generator=generator)
-    return _tracks(law, kept, forces, edges, noise, seed, observation_noise, burn_in)
+    return _tracks(dynamics, kept, forces, edges, noise, seed, observation_noise, burn_in)
 
 
 def check_size(name: str, value: int, least: int) -> int:
@@ -213,7 +213,7 @@ def initial_state(name: str, values: npt.ArrayLike, like: Tensor) -> Tensor:
 
 
 def _tracks(
-    law: Law,
+    dynamics: Dynamics,
     kept: dict[str, Tensor],
     forces: Tensor,
     edges: Tensor,
@@ -231,15 +231,15 @@ def _tracks(
         variables["true_position"] = (dims, states["position"])
         variables["true_velocity"] = (dims, states["velocity"])
     settings = {
-        **law.to_dict(),
-        "law": law.name,
+        **dynamics.to_dict(),
+        "dynamics": dynamics.name,
         "observation_noise": observation_noise,
         "burn_in": burn_in,
         "seed": None if isinstance(seed, torch.Generator) else int(seed),
     }
     tracks = make_tracks(
         (kept["position"] + noise).numpy(),
-        fps=1.0 / law.dt,
+        fps=1.0 / dynamics.dt,
         velocity=kept["velocity"].numpy() if exact else None,
         variables=variables,
         source_software="swarmssm",
@@ -247,12 +247,12 @@ def _tracks(
     )
     force_dims = ("trial", "time", "term", "space", "individual")
     edge_dims = ("trial", "time", "individual", "neighbor")
-    rule = law.graph_rule
+    rule = dynamics.graph_rule
     edge_attrs = {} if rule is None else {"rule": json.dumps(rule.to_dict())}
     tracks = tracks.assign_coords(
-        term=list(law.terms), neighbor=tracks["individual"].to_numpy()
+        term=list(dynamics.terms), neighbor=tracks["individual"].to_numpy()
     ).assign(
-        force=(force_dims, forces.mT.numpy(), {"meaning": law.force_meaning}),
+        force=(force_dims, forces.mT.numpy(), {"meaning": dynamics.force_meaning}),
         adjacency=(edge_dims, edges.numpy(), edge_attrs),
     )
     tracks["next_position"].attrs["meaning"] = "noise-free position one step later"

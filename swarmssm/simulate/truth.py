@@ -1,4 +1,4 @@
-"""The truth behind tracks of which the law is known but that did not bring it along."""
+"""The truth behind tracks of which the dynamics are known but that did not bring it along."""
 
 import json
 
@@ -6,20 +6,20 @@ import torch
 import xarray as xr
 
 from swarmssm.errors import InputError
-from swarmssm.simulate.recording import Law
+from swarmssm.simulate.recording import Dynamics
 
 __all__ = ["add_truth"]
 
 
-def add_truth(tracks: xr.Dataset, law: Law) -> xr.Dataset:
+def add_truth(tracks: xr.Dataset, dynamics: Dynamics) -> xr.Dataset:
     """Attach what a simulator of this package would have written beside exact states.
 
     Parameters
     ----------
     tracks
         Tracks with trials, of states without tracking noise and without gaps.
-    law
-        The law by which they were made.
+    dynamics
+        The dynamics by which they were made.
 
     Returns
     -------
@@ -41,10 +41,15 @@ def add_truth(tracks: xr.Dataset, law: Law) -> xr.Dataset:
     )
     if not bool((positions + velocities).isfinite().all()):
         raise InputError("tracks: a state is unknown, and the truth needs exact states.")
-    force, graph = law.forces(positions, velocities)
-    following = law.move(positions, velocities, force)
-    settings = {**law.to_dict(), "law": law.name, "observation_noise": 0.0, "burn_in": 0}
-    rule = law.graph_rule
+    force, graph = dynamics.forces(positions, velocities)
+    following = dynamics.move(positions, velocities, force)
+    settings = {
+        **dynamics.to_dict(),
+        "dynamics": dynamics.name,
+        "observation_noise": 0.0,
+        "burn_in": 0,
+    }
+    rule = dynamics.graph_rule
     attrs = {} if rule is None else {"rule": json.dumps(rule.to_dict())}
     edges = (("trial", "time", "individual", "neighbor"), graph.to(torch.uint8).numpy(), attrs)
     return tracks.assign(

@@ -28,7 +28,7 @@ START_DENSITY = 4.0
 
 @dataclasses.dataclass(frozen=True)
 class Vicsek:
-    """The law of motion of :func:`simulate_vicsek`, which documents the parameters."""
+    """The dynamics of :func:`simulate_vicsek`, which documents the parameters."""
 
     dt: float
     space: int
@@ -97,7 +97,7 @@ class Vicsek:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> "Vicsek":
-        """Return the law that :meth:`to_dict` described."""
+        """Return the dynamics that :meth:`to_dict` described."""
         return cls(**values)
 
 
@@ -164,11 +164,11 @@ def simulate_vicsek(
     ----------
     Vicsek, Czirok, Ben-Jacob, Cohen and Shochet (1995), Phys. Rev. Lett. 75:1226.
     """
-    law = Vicsek(
+    dynamics = Vicsek(
         dt=dt, space=space, speed=speed, radius=radius, box=box, process_noise=process_noise
     )
     return record(
-        law,
+        dynamics,
         individuals=individuals,
         steps=steps,
         trials=trials,

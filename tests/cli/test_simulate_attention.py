@@ -1,4 +1,4 @@
-"""Plant a leader or a loner from the command line."""
+"""Plant a leader or an isolated individual from the command line."""
 
 import json
 
@@ -8,14 +8,14 @@ from swarmssm import io
 from swarmssm.simulate.attention import planted_attention
 
 
-def test_a_leader_and_a_loner_are_planted(swarmssm, tmp_path):
+def test_a_leader_and_an_isolated_one_are_planted(swarmssm, tmp_path):
     options = ("--individuals", 4, "--steps", 5, "--out", "l.nc", "--seed", 1)
     result = swarmssm(
-        "simulate", "boids", *options, "--leader", 1, "--leader-strength", 2, "--loner", 3
+        "simulate", "boids", *options, "--leader", 1, "--leader-strength", 2, "--isolated", 3
     )
     assert result.status == 0, result.err
     told = json.loads(io.read(tmp_path / "l.nc").attrs["simulation"])
-    expected = planted_attention(4, leader=1, strength=2.0, loner=3)
+    expected = planted_attention(4, leader=1, strength=2.0, isolated=3)
     assert told["attention"] == expected.tolist()
     table = json.dumps(expected.tolist())
     result = swarmssm("simulate", "boids", *options, "--overwrite", "--set", f"attention={table}")

@@ -5,7 +5,7 @@ import pytest
 
 from swarmssm.datasets import DATASETS, benchmark_boids, load_dataset
 from swarmssm.errors import InputError
-from swarmssm.simulate import add_truth, law_of, simulate_boids
+from swarmssm.simulate import add_truth, dynamics_of, simulate_boids
 
 ORDER = ("trial", "time", "individual", "space")
 
@@ -31,7 +31,7 @@ def test_the_benchmark_moves_by_the_rule_that_is_told_of_it(shared_data, name):
 def test_without_the_files_the_same_rule_is_simulated(tmp_path, monkeypatch):
     monkeypatch.setattr(benchmark_boids, "FRAMES", 20)
     monkeypatch.setattr(benchmark_boids, "FREE_FRAMES", 20)
-    law, free = (law_of(load_dataset(name, tmp_path)) for name in ("boids", "boids-free"))
+    law, free = (dynamics_of(load_dataset(name, tmp_path)) for name in ("boids", "boids-free"))
     assert (law.cohesion_gain, law.wall_gain, law.graph.radius) == (0.5, 1.0, 2.5)
     assert (free.cohesion_gain, free.alignment_gain, free.wall_gain) == (1.0, 0.3, 0.0)
     assert free.graph.radius == 3.0
@@ -58,17 +58,17 @@ def test_the_dog_is_not_among_the_sheep(shared_data):
 def test_simulated_sets_know_their_rule(name):
     tracks = load_dataset(name)
     # What joins particles differs between trials.
-    assert law_of(tracks.isel(trial=slice(1))).name in name
+    assert dynamics_of(tracks.isel(trial=slice(1))).name in name
     assert bool(np.isfinite(tracks["position"]).all())
 
 
 def test_truth_that_is_added_is_what_a_simulator_writes():
     tracks = simulate_boids(4, 30, 2, seed=1)
     bare = tracks[["position", "velocity"]]
-    again = add_truth(bare, law_of(tracks))
+    again = add_truth(bare, dynamics_of(tracks))
     for name in ("next_position", "next_velocity", "adjacency"):
         np.testing.assert_allclose(again[name], tracks[name].transpose(*again[name].dims))
-    assert law_of(again) == law_of(tracks)
+    assert dynamics_of(again) == dynamics_of(tracks)
 
 
 def test_mistakes_are_told(tmp_path):
@@ -77,7 +77,7 @@ def test_mistakes_are_told(tmp_path):
     with pytest.raises(InputError, match="the recording guppies is not there"):
         load_dataset("guppies", tmp_path)
     tracks = simulate_boids(4, 30, 2, seed=1)
-    law = law_of(tracks)
+    law = dynamics_of(tracks)
     with pytest.raises(InputError, match="they have no velocity"):
         add_truth(tracks[["position"]], law)
     tracks["position"][0, 3] = np.nan

@@ -17,7 +17,7 @@ from swarmssm.models import InitialStates, LatentEdges, StateSpaceModel, StepInp
 from swarmssm.models.distributions.speed_limits import limit_speed
 from swarmssm.models.parameters import fixed
 from swarmssm.models.transitions import BoidsTransition, Hierarchical, KinematicTransition
-from swarmssm.simulate import law_of, simulate_boids
+from swarmssm.simulate import dynamics_of, simulate_boids
 
 # What torch itself says when it first differentiates forwards.
 pytestmark = pytest.mark.filterwarnings("ignore:.torch.jit.script. is deprecated")
@@ -103,7 +103,7 @@ def test_it_is_the_law_of_the_simulator(space, form, options):
         for name in ("position", "velocity", "next_velocity")
     )
     inputs = StepInputs(torch.from_numpy(tracks["adjacency"].values))
-    truth = law_of(tracks)
+    truth = dynamics_of(tracks)
     motion = law(
         space,
         form=form,

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from swarmssm.errors import InputError
-from swarmssm.simulate import law_of, simulate_boids
+from swarmssm.simulate import dynamics_of, simulate_boids
 from swarmssm.simulate.attention import planted_attention
 
 THREE = {
@@ -67,9 +67,9 @@ def test_weights_of_one_change_nothing(form):
     np.testing.assert_allclose(ones["force"], plain["force"], rtol=0, atol=1e-12)
 
 
-def test_the_loner_feels_nothing_and_nobody_feels_it():
-    """Moving the loner elsewhere within sight leaves the forces on all others as they are."""
-    weights = planted_attention(4, loner=2)
+def test_the_isolated_one_feels_nothing_and_nobody_feels_it():
+    """Moving the isolated one leaves the forces on all others as they are."""
+    weights = planted_attention(4, isolated=2)
     places = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
     found = []
     for place in ([0.3, 0.4], [0.9, 0.2]):
@@ -86,7 +86,7 @@ def test_the_loner_feels_nothing_and_nobody_feels_it():
 
 def test_planted_weights_by_hand():
     np.testing.assert_array_equal(
-        planted_attention(4, leader=1, strength=3.0, heeds=0.5, loner=3),
+        planted_attention(4, leader=1, strength=3.0, heeds=0.5, isolated=3),
         [[1.0, 3.0, 1.0, 0.0], [0.5, 1.0, 0.5, 0.0], [1.0, 3.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]],
     )
 
@@ -95,21 +95,21 @@ def test_the_law_comes_back_from_the_tracks():
     """Also from recordings made before there were weights."""
     weights = planted_attention(4, leader=1)
     tracks = simulate_boids(4, 20, attention=weights, seed=5)
-    law = law_of(tracks)
-    np.testing.assert_array_equal(law.attention, weights)
+    dynamics = dynamics_of(tracks)
+    np.testing.assert_array_equal(dynamics.attention, weights)
     position, velocity = (
         torch.from_numpy(
             tracks[name].transpose("trial", "time", "individual", "space").to_numpy().copy()
         )
         for name in ("position", "velocity")
     )
-    force, _ = law.forces(position, velocity)
+    force, _ = dynamics.forces(position, velocity)
     dims = ("trial", "time", "term", "individual", "space")
     np.testing.assert_array_equal(force, tracks["force"].transpose(*dims))
     told = json.loads(tracks.attrs["simulation"])
     del told["attention"]
     tracks.attrs["simulation"] = json.dumps(told)
-    assert law_of(tracks).attention is None
+    assert dynamics_of(tracks).attention is None
 
 
 @pytest.mark.parametrize(
@@ -132,8 +132,8 @@ def test_weights_that_are_none(attention, word):
     ("options", "word"),
     [
         ({"leader": 4}, "leader"),
-        ({"loner": -1}, "loner"),
-        ({"leader": 1, "loner": 1}, "loner"),
+        ({"isolated": -1}, "isolated"),
+        ({"leader": 1, "isolated": 1}, "isolated"),
         ({"strength": -1.0}, "strength"),
     ],
 )
@@ -143,6 +143,6 @@ def test_places_that_are_none(options, word):
 
 
 def test_a_law_of_another_number_is_refused():
-    law = law_of(simulate_boids(3, 3, attention=np.ones((3, 3))))
+    dynamics = dynamics_of(simulate_boids(3, 3, attention=np.ones((3, 3))))
     with pytest.raises(InputError, match="3 individuals, and there are 4"):
-        law.forces(torch.zeros(4, 2), torch.ones(4, 2))
+        dynamics.forces(torch.zeros(4, 2), torch.ones(4, 2))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from swarmssm.simulate import law_of, simulate_boids
+from swarmssm.simulate import dynamics_of, simulate_boids
 
 PAIR = {
     "initial_position": [[0.0, 0.0], [2.0, 0.0]],
@@ -141,13 +141,13 @@ def test_reproduces_an_independent_simulation(shared_data, name, changes):
     """
     recording = np.load(shared_data / "boids_benchmark" / f"{name}.npz")
     told = json.loads(str(recording["params"]))
-    law = law_of(simulate_boids(2, 2, radius=told["r"], **changes))
-    assert (law.cohesion_gain, law.separation_gain, law.alignment_gain) == (
+    dynamics = dynamics_of(simulate_boids(2, 2, radius=told["r"], **changes))
+    assert (dynamics.cohesion_gain, dynamics.separation_gain, dynamics.alignment_gain) == (
         told["kc"],
         told["ks"],
         told["ka"],
     )
-    assert (law.min_speed, law.max_speed, law.process_noise, law.dt) == (
+    assert (dynamics.min_speed, dynamics.max_speed, dynamics.process_noise, dynamics.dt) == (
         told["vmin"],
         told["vmax"],
         told["sd"],
@@ -155,12 +155,12 @@ def test_reproduces_an_independent_simulation(shared_data, name, changes):
     )
     states = torch.from_numpy(recording["X"].astype(np.float64))
     position, velocity = states.chunk(2, -1)
-    force, graph = law.forces(position, velocity)
+    force, graph = dynamics.forces(position, velocity)
     np.testing.assert_array_equal(graph.numpy(), recording["A"])
 
-    _, foretold = law.move(position, velocity, force)
+    _, foretold = dynamics.move(position, velocity, force)
     reached = velocity[:, 1:]
-    drift = (velocity + law.dt * force.sum(-3))[:, :-1]
+    drift = (velocity + dynamics.dt * force.sum(-3))[:, :-1]
     speed = reached.norm(dim=-1)
     free = (speed > 0.6 + 1e-5) & (speed < 1.2 - 1e-5)
     assert 0.5 < free.double().mean() < 0.99
@@ -168,7 +168,7 @@ def test_reproduces_an_independent_simulation(shared_data, name, changes):
     assert abs((noise**2).mean() - 1) < 6 * math.sqrt(2 / noise.numel())
     assert abs(noise.mean()) < 6 / math.sqrt(noise.numel())
     # The states are in float32, of positions up to 100.
-    landed = position[:, :-1] + law.dt * reached
+    landed = position[:, :-1] + dynamics.dt * reached
     np.testing.assert_allclose(landed, position[:, 1:], rtol=0, atol=2e-5)
     limits = foretold[:, :-1].norm(dim=-1)
     assert limits.min() > 0.6 - 1e-9

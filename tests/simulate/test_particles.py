@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from swarmssm.errors import InputError
-from swarmssm.simulate import Charged, Springs, law_of, simulate_charged, simulate_springs
+from swarmssm.simulate import Charged, Springs, dynamics_of, simulate_charged, simulate_springs
 from swarmssm.tracks import states_of, validate_tracks
 
 BOTH = {"springs": simulate_springs, "charged": simulate_charged}
@@ -89,25 +89,25 @@ def test_what_is_recorded(name, space):
 
 @both
 def test_the_law_goes_on_from_any_state(name):
-    """Of one trial; of several with other edges there is no one law."""
+    """Of one trial; of several with other edges there is no one dynamics."""
     tracks = BOTH[name](5, 12, 3, seed=2, start_spread=1.0)
     with pytest.raises(InputError, match="differs between trials or frames"):
-        law_of(tracks)
+        dynamics_of(tracks)
     one = tracks.isel(trial=[1])
-    law = law_of(one)
-    assert isinstance(law, {"springs": Springs, "charged": Charged}[name])
-    assert type(law).from_dict(json.loads(json.dumps(law.to_dict()))) == law
+    dynamics = dynamics_of(one)
+    assert isinstance(dynamics, {"springs": Springs, "charged": Charged}[name])
+    assert type(dynamics).from_dict(json.loads(json.dumps(dynamics.to_dict()))) == dynamics
     position, velocity = (torch.from_numpy(values(one, q)) for q in ("position", "velocity"))
-    force, graph = law.forces(position, velocity)
+    force, graph = dynamics.forces(position, velocity)
     np.testing.assert_allclose(force.mT, one["force"], rtol=0, atol=1e-12)
     np.testing.assert_array_equal(graph, one["adjacency"])
-    moved = law.move(position, velocity, force)
+    moved = dynamics.move(position, velocity, force)
     for found, quantity in zip(moved, ("next_position", "next_velocity"), strict=True):
         np.testing.assert_allclose(found, values(one, quantity), rtol=0, atol=1e-10)
     with pytest.raises(InputError, match="no variable edge_type"):
-        law_of(one.drop_vars("edge_type"))
-    with pytest.raises(InputError, match="Give the law its edge_type"):
-        type(law).from_dict(law.to_dict()).forces(position, velocity)
+        dynamics_of(one.drop_vars("edge_type"))
+    with pytest.raises(InputError, match="Give the dynamics its edge_type"):
+        type(dynamics).from_dict(dynamics.to_dict()).forces(position, velocity)
 
 
 def test_half_of_the_pairs_have_a_spring_and_half_repel():
@@ -134,7 +134,7 @@ def test_edges_switch_and_the_motion_goes_on(name):
     for quantity in ("position", "velocity"):
         now, foretold = values(tracks, quantity), values(tracks, f"next_{quantity}")
         np.testing.assert_array_equal(foretold[:, :-1], now[:, 1:])
-    calm = law_of(tracks.isel(trial=[550], time=slice(4, 11)))
+    calm = dynamics_of(tracks.isel(trial=[550], time=slice(4, 11)))
     state = [
         torch.from_numpy(values(tracks, quantity)[550, 4:11])
         for quantity in ("position", "velocity")

@@ -13,7 +13,7 @@ from swarmssm.simulate import (
     Boids,
     Couzin,
     Vicsek,
-    law_of,
+    dynamics_of,
     simulate_boids,
     simulate_couzin,
     simulate_vicsek,
@@ -62,9 +62,9 @@ def test_what_is_recorded(name, space):
     assert tracks["term"].values.tolist() == TERMS[name]
     assert not tracks.isnull().any().to_array().any()
     validate_tracks(tracks)
-    law = law_of(tracks)
-    assert tracks.attrs["fps"] == 1 / law.dt
-    np.testing.assert_allclose(np.diff(tracks["time"]), law.dt, rtol=0, atol=1e-12)
+    dynamics = dynamics_of(tracks)
+    assert tracks.attrs["fps"] == 1 / dynamics.dt
+    np.testing.assert_allclose(np.diff(tracks["time"]), dynamics.dt, rtol=0, atol=1e-12)
 
 
 @every
@@ -79,11 +79,11 @@ def test_without_noise_the_next_state_is_the_true_one(name):
 def test_with_noise_the_next_state_is_that_of_the_law(name):
     """Step by hand from every recorded state: force, graph and next state are those recorded."""
     tracks = run(name)
-    law = law_of(tracks)
+    dynamics = dynamics_of(tracks)
     position = torch.from_numpy(values(tracks, "position"))
     velocity = torch.from_numpy(values(tracks, "velocity"))
-    force, graph = law.forces(position, velocity)
-    foretold = law.move(position, velocity, force)
+    force, graph = dynamics.forces(position, velocity)
+    foretold = dynamics.move(position, velocity, force)
     # The same sums, in batches of another shape.
     close = {"rtol": 0, "atol": 1e-12}
     np.testing.assert_allclose(force.mT, tracks["force"], **close)
@@ -165,11 +165,11 @@ def test_observation_noise_hides_the_truth(name):
 @every
 def test_the_law_is_read_back(name):
     tracks = run(name, seed=3, observation_noise=0.1, burn_in=2)
-    law = law_of(tracks)
-    assert isinstance(law, {"vicsek": Vicsek, "couzin": Couzin}.get(name, Boids))
-    assert type(law).from_dict(json.loads(json.dumps(law.to_dict()))) == law
+    dynamics = dynamics_of(tracks)
+    assert isinstance(dynamics, {"vicsek": Vicsek, "couzin": Couzin}.get(name, Boids))
+    assert type(dynamics).from_dict(json.loads(json.dumps(dynamics.to_dict()))) == dynamics
     settings = json.loads(tracks.attrs["simulation"])
-    assert {**law.to_dict(), "law": law.name}.items() <= settings.items()
+    assert {**dynamics.to_dict(), "dynamics": dynamics.name}.items() <= settings.items()
     assert [settings[k] for k in ("seed", "observation_noise", "burn_in")] == [3, 0.1, 2]
 
 
@@ -186,12 +186,12 @@ def test_tracks_that_are_not_simulated_have_no_law():
     for attrs, message in (
         ({}, "no attribute simulation"),
         ({"simulation": "boids"}, "cannot be read"),
-        ({"simulation": '{"law": "gas"}'}, "cannot be read"),
-        ({"simulation": '{"law": "vicsek", "dt": 1.0}'}, "cannot be read"),
+        ({"simulation": '{"dynamics": "gas"}'}, "cannot be read"),
+        ({"simulation": '{"dynamics": "vicsek", "dt": 1.0}'}, "cannot be read"),
     ):
         tracks.attrs = attrs
         with pytest.raises(InputError, match=message):
-            law_of(tracks)
+            dynamics_of(tracks)
 
 
 @every

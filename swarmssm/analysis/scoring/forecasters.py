@@ -24,7 +24,7 @@ from swarmssm.errors import InputError, WorkError
 from swarmssm.graphs import GraphRule
 from swarmssm.inference.prediction import seeded
 from swarmssm.metrics.masked import known
-from swarmssm.simulate import Law
+from swarmssm.simulate import Dynamics
 from swarmssm.tracks import Array
 
 __all__ = [
@@ -261,7 +261,7 @@ class LawForecaster:
 
     name, title = "noise-floor", "true rule (noise floor)"
 
-    def __init__(self, subject: Subject, law: Law) -> None:
+    def __init__(self, subject: Subject, law: Dynamics) -> None:
         self.subject, self.law = subject, law
         tracks, inputs = subject.tracks, subject.inputs
         order = ("trial", "time", "individual", "space")
@@ -352,7 +352,7 @@ def law_forecaster(subject: Subject) -> tuple[LawForecaster | None, str]:
     if subject.fit.settings.velocity == "kalman":
         return None, "The velocities are smoothed: their noise floor is unknown."
     with contextlib.suppress(InputError):
-        return LawForecaster(subject, simulate.law_of(subject.tracks)), ""
+        return LawForecaster(subject, simulate.dynamics_of(subject.tracks)), ""
     return None, "The law of the tracks cannot be read: the noise floor is unknown."
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import xarray as xr
 
 from swarmssm.errors import InputError, SwarmssmError
-from swarmssm.simulate import law_of
+from swarmssm.simulate import dynamics_of
 
 __all__ = ["FOOTNOTE", "THESIS_TABLES", "ThesisRow", "thesis_rows"]
 
@@ -63,7 +63,7 @@ def thesis_rows(name: str | None) -> tuple[ThesisRow, ...]:
 def thesis_table_for(tracks: xr.Dataset) -> str:
     """Return which of the two tables is about such tracks: boids if simulated, else guppies."""
     try:
-        law_of(tracks)
+        dynamics_of(tracks)
     except SwarmssmError:
         return "guppies"
     return "boids"

@@ -7,7 +7,7 @@ from swarmssm.analysis.interpretation.forces.frames import labels_of, unit_of
 from swarmssm.analysis.interpretation.forces.posterior import FORCE_DIMS, PLACES, TERMS
 from swarmssm.analysis.posterior.intervals import quantiles
 from swarmssm.errors import InputError
-from swarmssm.simulate import law_of
+from swarmssm.simulate import dynamics_of
 from swarmssm.tracks import Array, spatial_attributes, states_of, validate_tracks, with_trials
 
 __all__ = ["force_agreement", "true_forces"]
@@ -42,7 +42,7 @@ def true_forces(tracks: xr.Dataset) -> xr.Dataset:
         )
     per, forgets = 1.0, False
     if "simulation" in tracks.attrs:
-        law = law_of(tracks)
+        law = dynamics_of(tracks)
         if law.name != "boids":
             raise InputError(
                 f"tracks: they follow the law {law.name}, whose terms do not add up to an "

@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 
 from swarmssm.errors import InputError
-from swarmssm.simulate import law_of
+from swarmssm.simulate import dynamics_of
 
 __all__ = ["kernel_agreement", "true_kernels"]
 
@@ -34,7 +34,7 @@ def true_kernels(tracks: xr.Dataset, kernels: xr.Dataset) -> xr.Dataset:
     InputError
         If the tracks do not say that they are simulated boids.
     """
-    law: Any = law_of(tracks)
+    law: Any = dynamics_of(tracks)
     if law.name != "boids":
         raise InputError(f"tracks: they follow the law {law.name}, which has no kernels of boids.")
     distance = kernels["distance"].to_numpy()
