@@ -22,6 +22,8 @@ __all__ = ["fit_collapsed"]
 #: Steps of the optimiser between two moves of the points of linearisation.
 MOVE_POINTS = 25
 ROWS = 100
+#: Steps of Adam unless the caller says otherwise.
+ADAM_STEPS = 1000
 
 
 def fit_collapsed(
@@ -30,7 +32,7 @@ def fit_collapsed(
     windows: SwarmBatch,
     *,
     validation: SwarmBatch | None = None,
-    steps: int = 1000,
+    steps: int | None = None,
     batch_windows: int | None = None,
     lr: float = 0.01,
     seed: int = 0,
@@ -51,19 +53,23 @@ def fit_collapsed(
         All windows to fit.
     validation
         Windows to score at the guide's median after the fit; ``None`` for none.
-    steps, batch_windows, lr, seed
-        Of stochastic variational inference: steps of Adam, windows in a mini-batch (``None``, all),
-        learning rate, which falls to a tenth at the last step, and the seed of mini-batches and
-        draws. Laplace's method has no use for them.
+    steps
+        Steps at most: of L-BFGS, which absent goes on until the maximum stands; or of Adam, absent
+        1000.
+    batch_windows, lr, seed
+        Of stochastic variational inference: windows in a mini-batch (``None``, all), learning
+        rate, which falls to a tenth at the last step, and the seed of mini-batches and draws.
+        Laplace's method takes all windows at once, and has no use for them.
     callback
-        Called after each step or evaluation with its number, the number of them all (``None``
+        Called after each evaluation with the number of the step, the number of them all (``None``
         if that is not known), and the loss.
 
     Returns
     -------
-    The history, a row for each evaluation or for about every hundredth step: ``epoch``,
+    The history, a row for each step of L-BFGS or about every hundredth step of Adam: ``epoch``,
     ``step``, ``loss`` (the negative log-density, or ELBO, per observed coordinate),
-    ``validation_loss`` (NaN in all but the last row, or without ``validation``) and ``seconds``.
+    ``validation_loss`` (NaN in all but the last row, or without ``validation``), ``seconds``, and
+    ``distance`` (:func:`swarmssm.inference.convergence.convergence`).
 
     Raises
     ------
@@ -77,9 +83,11 @@ def fit_collapsed(
     options = {"steps": steps, "batch_windows": batch_windows, "lr": lr}
     began = time.perf_counter()
     rows: list[dict[str, float]] = []
+    places: list[torch.Tensor] = []
 
-    def note(step: int, total: int | None, loss: float, *, keep: bool = True) -> None:
-        if keep:
+    def note(step: int, total: int | None, loss: float, place: torch.Tensor | None) -> None:
+        if place is not None:
+            places.append(place)
             rows.append(
                 {
                     "epoch": float(step),
@@ -97,6 +105,8 @@ def fit_collapsed(
         fit(model, guide, windows, note, options)
         if validation is not None and rows:
             rows[-1]["validation_loss"] = _score(model, guide, validation)
+        _, sd = guide.parameters_guide.unconstrained()
+    add_distances(rows, places, sd.double())
     return rows
 
 
@@ -113,7 +123,8 @@ def _by_laplace(
         windows,
         layout=guide.layout,
         given=_given(guide, windows),
-        callback=lambda step, loss: note(step, None, loss),
+        steps=options["steps"],
+        callback=lambda step, loss, place: note(step, options["steps"], loss, place),
     )
     found.fill(guide.parameters_guide)
 
@@ -126,7 +137,7 @@ def _by_svi(
     options: dict[str, Any],
 ) -> None:
     """Maximise the ELBO of the parameters alone."""
-    steps, size = options["steps"], options["batch_windows"] or len(windows)
+    steps, size = options["steps"] or ADAM_STEPS, options["batch_windows"] or len(windows)
     parameters = guide.parameters_guide
     target = collapsed(model, layout=guide.layout, given=_given(guide, windows))
     weights = {id(p): p for part in (model, guide) for p in part.parameters()}
@@ -162,7 +173,8 @@ def _by_svi(
             raise WorkError(
                 f"The loss is not a number at step {step}. Try a smaller learning rate."
             )
-        note(step, steps, loss, keep=step % every == 0 or step == steps)
+        place = parameters.unconstrained()[0] if step % every == 0 or step == steps else None
+        note(step, steps, loss, place)
 
 
 def _given(guide: LinearizedGuide, windows: SwarmBatch) -> int:

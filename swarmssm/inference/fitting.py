@@ -40,6 +40,7 @@ from swarmssm.inference.training import (
     TrainingData,
     TrainingProgress,
     batch_size,
+    num_steps,
     quiet_pyro,
     train,
 )
@@ -289,6 +290,19 @@ def _sum_out(
     settings = run.settings
     size = batch_size(settings, len(data.train))
 
+    by_laplace = run.guide.globals == "laplace"
+    if by_laplace and settings.epochs is not None:
+        raise InputError(
+            "epochs: the linearized guide takes all windows in each step and has none; give steps, "
+            "or the guide option globals=normal."
+        )
+
+    steps = settings.steps
+    if settings.epochs is not None:
+        steps = num_steps(settings, run.model, len(data.train))
+    elif not by_laplace:
+        steps = steps or run.model.default_epochs
+
     def tell(step: int, total: int | None, loss: float) -> None:
         for callback in callbacks:
             callback(TrainingProgress(step, total, step, loss))
@@ -298,7 +312,7 @@ def _sum_out(
         run.guide,
         data.train,
         validation=data.validation,
-        steps=settings.steps or settings.epochs or run.model.default_epochs,
+        steps=steps,
         batch_windows=size,
         lr=settings.lr,
         seed=settings.seed,

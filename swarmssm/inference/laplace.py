@@ -44,6 +44,9 @@ PRIOR_DRAWS = 200
 #: The objective where a filter breaks down, so that a line search turns back.
 OUT_OF_BOUNDS = 1e15
 
+#: Told the number of the step, the negative log-density and, after a step, the parameters.
+Callback = Callable[[int, float, Tensor | None], None]
+
 
 @dataclass(frozen=True)
 class Laplace:
@@ -68,6 +71,8 @@ class Laplace:
         Where the model was linearised at last; ``None`` if it was linearised as the filter went.
     rounds
         How often they were moved.
+    steps
+        Steps of L-BFGS that were taken.
     """
 
     names: tuple[str, ...]
@@ -78,6 +83,7 @@ class Laplace:
     log_evidence: float
     points: Points | None
     rounds: int
+    steps: int
 
     def fill(self, guide: GlobalGuide) -> None:
         """Give the posterior to a guide of kind ``"multivariate"`` of the same model.
@@ -107,7 +113,8 @@ def laplace(
     given: int = 0,
     start: Mapping[str, Tensor] | None = None,
     refine: bool = True,
-    callback: Callable[[int, float], None] | None = None,
+    steps: int | None = None,
+    callback: Callback | None = None,
 ) -> Laplace:
     r"""Fit all parameters of a model by Laplace's method, and move the normal to where it fits.
 
@@ -141,8 +148,11 @@ def laplace(
         Values to begin with, full name -> value; those left out begin at the prior's median.
     refine
         Whether the normal is moved so; else it stays about the mode.
+    steps
+        Steps of L-BFGS at most; absent, until the maximum stands.
     callback
-        Called after each evaluation with its number and the negative log-density.
+        Called after each evaluation with the number of the step, the negative log-density, and
+        the unconstrained parameters if the step was taken there, else ``None``.
 
     Raises
     ------
@@ -160,7 +170,7 @@ def laplace(
         raise InputError("model: its states are observed exactly; there is nothing to sum out.")
     with quiet_pyro():
         problem = _Problem(model, batch, method, layout, given, start or {}, refine, callback)
-        return problem.solve()
+        return problem.solve(steps)
 
 
 class _Problem:
@@ -175,7 +185,7 @@ class _Problem:
         given: int,
         start: Mapping[str, Tensor],
         refine: bool,
-        callback: Callable[[int, float], None] | None,
+        callback: Callback | None,
     ) -> None:
         self.original = model
         self.model = copy.deepcopy(model).double()
@@ -202,7 +212,7 @@ class _Problem:
         self.scale = np.ones(sum(piece.numel() for piece in pieces))
         self.scale[: self.number] = self._spread()
         self.start = torch.cat(pieces).numpy() / self.scale
-        self.evaluations = 0
+        self.steps = 0
         self.points: Points | None = None
         self.trouble: WorkError | None = None
 
@@ -278,9 +288,8 @@ class _Problem:
             for value, gradient in zip(inputs, gradients, strict=True)
         ]
         value, gradient = float(total.detach()), torch.cat(flat).numpy() * self.scale
-        self.evaluations += 1
         if self.callback is not None:
-            self.callback(self.evaluations, value)
+            self.callback(self.steps, value, None)
         if not (math.isfinite(value) and np.isfinite(gradient).all()):
             return OUT_OF_BOUNDS, np.zeros_like(place)
         return value, gradient
@@ -307,7 +316,7 @@ class _Problem:
                 self.model, self.batch, values, layout=self.layout, start=self.points
             )
 
-    def solve(self) -> Laplace:
+    def solve(self, steps: int | None) -> Laplace:
         """Maximise, and measure the curvature."""
         place = self.start
         # Round 1 finds the neighbourhood; then the posterior's own standard deviation is the unit.
@@ -316,12 +325,14 @@ class _Problem:
         if self(place)[0] >= OUT_OF_BOUNDS:
             raise self.trouble or WorkError("The evidence is not finite at the first values.")
         for rounds in range(1, ROUNDS + 1):
-            shift, gained = self._maximise(place, unit, FIRST_STEPS if rounds == 1 else STEPS)
+            most = FIRST_STEPS if rounds == 1 else STEPS
+            most = most if steps is None else min(most, steps - self.steps)
+            shift, gained = self._maximise(place, unit, most)
             place = place + unit @ shift
             still = bool((np.abs(shift[: self.number]) < SETTLED).all()) or gained < GAIN
             settled = rounds > 1 and still
             self._move_points(place)
-            if settled or rounds == ROUNDS:
+            if settled or rounds == ROUNDS or (steps is not None and self.steps >= steps):
                 break
             if rounds == 1:
                 unit = self._unit(self._hessian(place, forward=True))
@@ -334,12 +345,23 @@ class _Problem:
             value, gradient = self(place + unit @ shift)
             return value, unit.T @ gradient
 
+        def taken(intermediate_result: scipy.optimize.OptimizeResult) -> None:
+            self.steps += 1
+            if self.callback is not None:
+                free = self._free(place + unit @ intermediate_result.x)
+                self.callback(self.steps, float(intermediate_result.fun), free)
+
         start = self(place)[0]
         # L-BFGS wants a change relative to the value.
         tolerance = 0.1 * GAIN / max(abs(start), 1.0)
         options = {"maxiter": steps, "ftol": tolerance, "gtol": 0.1 * SETTLED}
         found = scipy.optimize.minimize(  # type: ignore[call-overload]
-            objective, np.zeros_like(place), jac=True, method="L-BFGS-B", options=options
+            objective,
+            np.zeros_like(place),
+            jac=True,
+            method="L-BFGS-B",
+            options=options,
+            callback=taken,
         )
         return found.x, start - float(found.fun)
 
@@ -393,6 +415,7 @@ class _Problem:
             float(entropy) - expected,
             self.points,
             rounds,
+            self.steps,
         )
 
     def _refined(self, place: Any, factor: Any) -> tuple[Any, Any, float] | None:

@@ -16,7 +16,8 @@ from swarmssm.errors import InputError, WorkError
 from swarmssm.inference.agreement import evaluating
 from swarmssm.inference.bounds import Bound, annealing
 from swarmssm.inference.checkpoints import Checkpoint, write_checkpoint
-from swarmssm.inference.guides import SwarmGuide
+from swarmssm.inference.convergence import add_distances
+from swarmssm.inference.guides import PathGuide, SwarmGuide
 from swarmssm.inference.settings import FitSettings
 from swarmssm.models import StateSpaceModel, SwarmBatch, SwarmModel
 
@@ -94,6 +95,13 @@ def num_epochs(settings: FitSettings, model: SwarmModel, num_windows: int) -> in
     return settings.epochs or model.default_epochs
 
 
+def num_steps(settings: FitSettings, model: SwarmModel, num_windows: int) -> int:
+    """Return how many steps of the optimiser the settings ask for."""
+    if settings.steps is not None:
+        return settings.steps
+    return num_epochs(settings, model, num_windows) * steps_per_epoch(settings, num_windows)
+
+
 @contextlib.contextmanager
 def quiet_pyro() -> Iterator[None]:
     """Let Pyro keep parameters in the modules, and leave it to us to look for what is not a number.
@@ -146,7 +154,8 @@ def train(
     -------
     The history: a row for about every hundredth part of the run, with ``epoch``, ``step``,
     ``loss``, ``validation_loss`` (NaN without validation part), ``gradient_norm``, ``seconds``,
-    and the scores of ``data``.
+    the scores of ``data``, and, if parameters have a posterior, ``distance``: how far they are from
+    the end, in posterior standard deviations.
 
     Raises
     ------
@@ -180,6 +189,8 @@ def train(
             if checkpoint_folder is not None:
                 write_checkpoint(checkpoint_folder, run.checkpoint())
                 last_saved = run.step
+    _, sd = run._unconstrained()
+    add_distances(run.history, run.places, sd)
     run.keep_best()
     return run.history
 
@@ -202,7 +213,7 @@ class _Run:
         self.optimizer = torch.optim.Adam(self.parameters, lr=settings.lr, fused=True)
         self.steps_per_epoch = steps_per_epoch(settings, len(data.train))
         self.num_epochs = num_epochs(settings, model, len(data.train))
-        self.num_steps = settings.steps or self.num_epochs * self.steps_per_epoch
+        self.num_steps = num_steps(settings, model, len(data.train))
         self.record_every = settings.validate_every or math.ceil(self.num_epochs / HISTORY_ROWS)
         self.model = model
         self.coordinates = num_coordinates(data.train, model)
@@ -211,6 +222,7 @@ class _Run:
         self.first_loss = math.nan
         self.gradient_norm = math.nan
         self.history: list[dict[str, float]] = []
+        self.places: list[torch.Tensor] = []
         self.best_loss = math.inf
         self.best: dict[str, torch.Tensor] = {}
         self.rows_since_best = 0
@@ -300,12 +312,20 @@ class _Run:
         self.seconds += time.perf_counter() - began
         row["seconds"] = self.seconds
         self.history.append(row)
+        self.places.append(self._unconstrained()[0])
         if row["validation_loss"] < self.best_loss:
             self.best_loss, self.rows_since_best = row["validation_loss"], 0
             self.best = {name: value.clone() for name, value in self._weights().items()}
         else:
             self.rows_since_best += 1
         return row
+
+    def _unconstrained(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return mean and standard deviation of the parameters with a prior, if there are any."""
+        guide = self.modules["guide"]
+        if not isinstance(guide, PathGuide):
+            return torch.empty(0), torch.empty(0)
+        return guide.parameters_guide.unconstrained()
 
     def _validate(self) -> float:
         """Return the validation loss, with the same noise each time and no trace of it left."""
@@ -343,6 +363,7 @@ class _Run:
         for index, fields in self.optimizer.state_dict()["state"].items():
             tensors |= {f"optimizer.{index}.{name}": value for name, value in fields.items()}
         tensors["rng"] = torch.get_rng_state()
+        tensors |= {f"places.{number}": place for number, place in enumerate(self.places)}
         state = {
             "digest": self.digest,
             "epoch": self.epoch,
@@ -372,3 +393,5 @@ class _Run:
         self.best_loss = float(state["best_loss"])
         self.rows_since_best = int(state["rows_since_best"])
         self.history = [dict(row) for row in state["history"]]
+        places = checkpoint.group("places")
+        self.places = [places[str(number)] for number in range(len(self.history))]

@@ -73,6 +73,23 @@ class GlobalGuide(PyroModule):  # type: ignore[misc]
             middle = self.auto.median()
         return {name: middle[name] for name in self.names}
 
+    def unconstrained(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return mean and standard deviation of all parameters on the unconstrained scale.
+
+        Each ``(number,)``; empty for a guide without spread.
+        """
+        if not self.names or self.kind == "delta":
+            return torch.empty(0), torch.empty(0)
+        with torch.no_grad():
+            if self.kind == "multivariate":
+                posterior = self.auto.get_posterior()
+                return posterior.mean.clone(), posterior.stddev
+            pairs = [self.auto._get_loc_and_scale(name) for name in self.names]
+            mean, sd = (
+                torch.cat([part.reshape(-1) for part in side]) for side in zip(*pairs, strict=True)
+            )
+        return mean.clone(), sd
+
     def draw(self, draws: int) -> dict[str, torch.Tensor]:
         """Draw values, ``(draw, ...)`` each, by full name."""
         if not self.names:
