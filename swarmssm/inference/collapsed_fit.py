@@ -10,6 +10,7 @@ from pyro.infer import Trace_ELBO
 
 from swarmssm.errors import WorkError
 from swarmssm.inference.collapsed import collapsed, windows_plate
+from swarmssm.inference.convergence import add_distances
 from swarmssm.inference.filtering.evidence import linearization_points
 from swarmssm.inference.filtering.layouts import Points
 from swarmssm.inference.guides.linearized import LinearizedGuide
