@@ -64,8 +64,8 @@ def convergence(history: pd.DataFrame | Sequence[Mapping[str, float]]) -> Conver
     Parameters
     ----------
     history
-        Rows with ``loss``, ``step`` (else the rows are counted), and ``distance`` where parameters have a posterior: how far
-        each is from the end, in posterior standard deviations.
+        Rows with ``loss``, ``step`` (else the rows are counted) and, where parameters have a
+        posterior, ``distance``: how far they are from the end, in posterior standard deviations.
     """
     table = pd.DataFrame(history)
     last = table.iloc[-min(len(table), max(2, round(LAST * len(table)))) :]

@@ -27,9 +27,9 @@ def test_units_follow_from_the_rule(small):
     assert units["max_speed"] == "cm/s"
     assert units["noise"] == "cm"
     velocities = small.model.transition
-    velocities.form, form = "velocity", velocities.form
+    velocities._form, form = "velocity", velocities._form
     assert units_of(small.model, "")["transition.cohesion_gain"] == "1/s"
-    velocities.form = form
+    velocities._form = form
     assert unit_text((1, -1.5), "") == "length/s^1.5"
 
 
