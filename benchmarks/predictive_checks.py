@@ -27,7 +27,7 @@ import xarray as xr
 from scipy import stats
 
 from swarmssm import inference, simulate
-from swarmssm.analysis.diagnostics.checks import check, sentence
+from swarmssm.analysis.diagnostics.checks import check
 from swarmssm.analysis.diagnostics.checks.p_values import judge
 from swarmssm.analysis.diagnostics.sbc.simulated import (
     FixedModel,
@@ -113,7 +113,7 @@ def one_known(seed: int, options: argparse.Namespace) -> dict[str, Any]:
         statistics=options.statistics,
         steps=options.steps,
         seed=seed + 1,
-    )
+    ).data
     return line(seed, checked)
 
 
@@ -128,7 +128,7 @@ def one_refit(seed: int, options: argparse.Namespace) -> dict[str, Any]:
     )
     tracks, _, _ = SimulatedData(model, 200, INDIVIDUALS, 1).draw(seed)
     fitted = inference.fit(model, tracks, guide="linearized", seed=seed, fractions=(0.7, 0.0, 0.3))
-    checked = check(fitted, tracks, draws=options.draws, part="test", seed=seed + 1)
+    checked = check(fitted, tracks, draws=options.draws, part="test", seed=seed + 1).data
     return line(seed, checked)
 
 
@@ -137,7 +137,7 @@ def line(seed: int, checked: xr.Dataset) -> dict[str, Any]:
     return {
         "seed": seed,
         "p": uniform_p_values(checked, seed),
-        "unlike": int((checked["verdict"] == "unlike").sum()),
+        "mismatch": int((checked["verdict"] == "mismatch").sum()),
         "diverged": int(checked["diverged"].sum()),
         "runs": checked.attrs["runs"],
     }
@@ -165,11 +165,9 @@ def many(options: argparse.Namespace) -> None:
     for name, ks in tests.items():
         low, lower = ((p_values[name] < level).mean() for level in (0.05, 0.01))
         print(f"| {name} | {ks:.3f} | {low:.3f} | {lower:.3f} |")
-    alarms = np.mean([found["unlike"] > 0 for found in done])
+    alarms = np.mean([found["mismatch"] > 0 for found in done])
     seconds = np.mean([found["seconds"] for found in done])
-    print(
-        f"\nleast KS p {min(tests.values()):.4f}; any statistic 'unlike' in {alarms:.1%} of checks"
-    )
+    print(f"\nleast KS p {min(tests.values()):.4f}; any mismatch in {alarms:.1%} of checks")
     print(f"diverged {sum(found['diverged'] for found in done)}; {seconds:.1f} CPU s each")
 
 
@@ -181,7 +179,8 @@ def wrong(options: argparse.Namespace) -> None:
     )  # fmt: skip
     tracks = tracks.drop_vars(["velocity", "adjacency"], errors="ignore")
     fitted = inference.fit("boids", tracks, guide="linearized", seed=0)
-    checked = check(fitted, tracks, draws=options.draws, part="test", seed=1)
+    result = check(fitted, tracks, draws=options.draws, part="test", seed=1)
+    checked = result.data
     print("| statistic | p | corrected | verdict |")
     print("|---|---|---|---|")
     for name in checked["statistic"].to_numpy():
@@ -189,7 +188,7 @@ def wrong(options: argparse.Namespace) -> None:
         cells = (f"{float(one[key]):.4f}" for key in ("p_value", "p_adjusted"))
         print(f"| {name} | {' | '.join(cells)} | {one['verdict'].item()} |")
     print(f"\n{int((checked['p_value'] < 0.01).sum())} statistics with p < 0.01")
-    print(sentence(checked))
+    print(result.verdict())
 
 
 def main() -> None:

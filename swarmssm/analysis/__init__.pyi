@@ -1,8 +1,8 @@
 from . import diagnostics, interpretation, plots, posterior, report, scoring
 from .diagnostics.checks import (
     STATISTICS,
+    ObservedSwarm,
     Statistic,
-    Swarm,
     check,
     loo_pit,
     one_step_pit,
@@ -73,9 +73,9 @@ __all__ = [
     "Analysis",
     "Comparison",
     "Evaluation",
+    "ObservedSwarm",
     "PosteriorPaths",
     "Statistic",
-    "Swarm",
     "acceleration_model",
     "analysis_page",
     "analyze",

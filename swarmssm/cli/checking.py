@@ -1,11 +1,13 @@
-"""``check``: whether a fitted model makes swarms like the one that was seen."""
+"""``check``: whether swarms simulated from a fitted model match the recording."""
 
+import math
+from collections.abc import Hashable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from swarmssm.cli.console import print_json, print_rows, say
+from swarmssm.cli.console import print_json, print_rows, say, short
 from swarmssm.cli.options import File, Format, Overwrite, Run, Seed, TableFormat, TrustCode
 from swarmssm.cli.progress import counting_progress
 from swarmssm.errors import InputError
@@ -26,8 +28,8 @@ def check(
     statistics: Annotated[
         str | None,
         typer.Option(
-            help="Some of the statistics, with commas, or module:function of your own. "
-            "Default: all."
+            help="Statistics separated by commas, built-in or "
+            "module:function. Default: all built-in."
         ),
     ] = None,
     draws: Annotated[
@@ -43,25 +45,28 @@ def check(
             "another file."
         ),
     ] = None,
-    every: Annotated[int, typer.Option(help="Look at every so many frames alone.")] = 1,
+    every: Annotated[int, typer.Option(help="Use every n-th frame.")] = 1,
     walls: Annotated[
         str | None,
-        typer.Option(help="hull: of all positions; none. Default: the file's, else the model's."),
+        typer.Option(
+            help="hull (of all positions) or none. Default: those of the file, else where the "
+            "wall force of the model begins."
+        ),
     ] = None,
     figure: Annotated[
-        Path | None, typer.Option(help="Picture of all statistics in one (png, pdf, svg).")
+        Path | None, typer.Option(help="Figure of all statistics in one (png, pdf, svg).")
     ] = None,
     sheet: Annotated[
-        Path | None, typer.Option(help="Picture of each statistic beside its replicates.")
+        Path | None, typer.Option(help="Figure with a panel for each statistic.")
     ] = None,
     seed: Seed = 0,
     format: Format = TableFormat.text,
     trust_code: TrustCode = False,
     overwrite: Overwrite = False,
 ) -> None:
-    """Simulate whole swarms from the fitted model, and compare them with the recording."""
+    """Posterior predictive check: compare swarms simulated from the fit with the recording."""
     from swarmssm import inference, io
-    from swarmssm.analysis.diagnostics.checks import STATISTICS, Statistic, sentence
+    from swarmssm.analysis.diagnostics.checks import STATISTICS, Statistic
     from swarmssm.analysis.diagnostics.checks import check as compare
     from swarmssm.analysis.plots.checks import plot_check_overview, plot_statistics
     from swarmssm.models.registry import find_part
@@ -95,45 +100,58 @@ def check(
             walls=walls,
             every=every,
         )
-    io.write_dataset(checked, out, overwrite=overwrite)
+    io.write_dataset(checked.data, out, overwrite=overwrite)
     if figure is not None:
-        _save(plot_check_overview(checked)[0], figure, overwrite=overwrite)
+        _save(plot_check_overview(checked.data)[0], figure, overwrite=overwrite)
     if sheet is not None:
-        _save(plot_statistics(checked)[0], sheet, overwrite=overwrite)
-    rows = [
-        {
-            "statistic": name,
-            "p": float(checked["p_value"].sel(statistic=name)),
-            "p, corrected": float(checked["p_adjusted"].sel(statistic=name)),
-            "verdict": checked["verdict"].sel(statistic=name).item(),
-        }
-        for name in map(str, checked["statistic"].values)
-    ]
+        _save(plot_statistics(checked.data)[0], sheet, overwrite=overwrite)
+    attrs = checked.data.attrs
+    rows = checked.summary().reset_index().to_dict("records")
+    notes = attrs["notes"].splitlines()
     if format is TableFormat.json:
-        words = map(str, checked["words"].values)
+        settings = {name: value for name, value in attrs.items() if name != "notes"}
         print_json(
             {
-                "statistics": [
-                    row | {"words": said} for row, said in zip(rows, words, strict=True)
-                ],
-                "sentence": sentence(checked),
-                "notes": checked.attrs["notes"].splitlines(),
-                "settings": {k: v for k, v in checked.attrs.items() if k != "notes"},
+                "verdict": checked.verdict(),
+                "statistics": rows,
+                "notes": notes,
+                "settings": settings,
             }
         )
         return
-    print_rows(f"{run} on {file}", rows)
-    say(sentence(checked))
-    for note in checked.attrs["notes"].splitlines():
-        say(note)
-    for path in (out, *pictures):
-        say(f"{path}: written.")
+    say(checked.verdict())
+    print_rows(
+        f"{run} on {file}",
+        [
+            {
+                "statistic": row["statistic"],
+                "verdict": row["verdict"],
+                "observed": row["observed"],
+                "90 % of replicates": _interval(row),
+                "p": row["p_value"],
+                "p, adjusted": row["p_adjusted"],
+            }
+            for row in rows
+        ],
+    )
+    for line in (*notes, *(f"{path}: written." for path in (out, *pictures))):
+        say(line)
+
+
+def _interval(row: Mapping[Hashable, Any]) -> str:
+    """Return the interval of the replicates with its unit; empty for curves and histograms."""
+    from swarmssm.analysis.scoring.table import format_unit
+
+    if math.isnan(row["low"]):
+        return ""
+    unit = format_unit(str(row["unit"]))
+    return f"{short(row['low'])} to {short(row['high'])} {unit}".rstrip()
 
 
 def _check_picture(path: Path) -> None:
-    """Refuse a picture of a kind that cannot be drawn, before the work is done."""
+    """Check the format of a figure before the work is done."""
     if path.suffix.lower() not in PICTURES:
-        raise InputError(f"{path}: a picture must end in {', '.join(PICTURES)}.")
+        raise InputError(f"{path}: a figure must end in {', '.join(PICTURES)}.")
 
 
 def _save(drawn: "Figure", path: Path, *, overwrite: bool) -> None:

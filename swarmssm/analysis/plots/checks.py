@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
-from swarmssm.analysis.diagnostics.checks.verdicts import LEVEL
+from swarmssm.analysis.diagnostics.checks.result import LEVEL
 from swarmssm.analysis.plots.style import (
     INDIVIDUALS,
     colour_of,
@@ -35,9 +35,9 @@ COLUMNS = 4
 #: The recording, the replicates of the model, and what is neither.
 RECORDING, REPLICATES, BAND = colour_of("truth"), colour_of(""), "#7f7f7f"
 VERDICT_COLOURS = {
-    "alike": colour_of("truth"),
-    "doubtful": "#b8860b",
-    "unlike": "#cc5f00",
+    "consistent": colour_of("truth"),
+    "borderline": "#b8860b",
+    "mismatch": "#cc5f00",
     "unknown": BAND,
 }
 #: Beyond this standardised distance a dot stands at the edge, as an arrow.
@@ -47,7 +47,7 @@ DECADES = 30.0
 
 
 def plot_check_overview(checked: xr.Dataset, ax: Axes | None = None) -> tuple[Figure, Axes]:
-    """Draw where the recording is among its replicates, a row for each statistic.
+    """Draw the recording among its replicates, a row for each statistic.
 
     Distances are from the median of the replicates, so that 90 % of them are within the bar.
     Of numbers they have a side; histograms and curves are far in one direction only.
@@ -55,7 +55,7 @@ def plot_check_overview(checked: xr.Dataset, ax: Axes | None = None) -> tuple[Fi
     Parameters
     ----------
     checked
-        From :func:`swarmssm.analysis.diagnostics.checks.check`.
+        ``data`` of :func:`swarmssm.analysis.diagnostics.checks.check`.
     ax
         Where to draw; new axes if absent.
 
@@ -88,11 +88,10 @@ def plot_check_overview(checked: xr.Dataset, ax: Axes | None = None) -> tuple[Fi
     for row, p_value, verdict in zip(
         rows, one["p_value"].to_numpy(), one["verdict"].to_numpy(), strict=True
     ):
-        word = _word(one.isel(statistic=row))
-        text = "" if np.isnan(p_value) else f"p = {_p(p_value)}  {word}"
+        text = "" if np.isnan(p_value) else f"p = {_p(p_value)}  {verdict}"
         ax.annotate(
             text, (1.01, row), xycoords=("axes fraction", "data"), va="center", fontsize=8,
-            color=VERDICT_COLOURS[str(verdict)] if verdict != "alike" else BAND,
+            color=VERDICT_COLOURS[str(verdict)] if verdict != "consistent" else BAND,
         )  # fmt: skip
     ax.tick_params(axis="y", length=0)
     return figure, ax
@@ -106,7 +105,7 @@ def plot_statistics(
     Parameters
     ----------
     checked
-        From :func:`swarmssm.analysis.diagnostics.checks.check`.
+        ``data`` of :func:`swarmssm.analysis.diagnostics.checks.check`.
     axes
         As many as statistics, rounded up to whole rows; new ones if absent.
 
@@ -140,7 +139,7 @@ def plot_statistic(checked: xr.Dataset, name: str, ax: Axes | None = None) -> tu
     Parameters
     ----------
     checked
-        From :func:`swarmssm.analysis.diagnostics.checks.check`.
+        ``data`` of :func:`swarmssm.analysis.diagnostics.checks.check`.
     name
         Of the statistic.
     ax
@@ -164,9 +163,9 @@ def plot_statistic(checked: xr.Dataset, name: str, ax: Axes | None = None) -> tu
     draw[own.ndim](ax, own, drawn)
     one = checked.sel(statistic=name)
     verdict = str(one["verdict"].item())
-    mark = "" if np.isnan(one["p_value"]) else f"\n{_word(one)}, p = {_p(float(one['p_value']))}"
+    mark = "" if np.isnan(one["p_value"]) else f"\n{verdict}, p = {_p(float(one['p_value']))}"
     ax.set_title(f"{own.attrs['long_name']}{mark}", fontsize=10, parse_math=False)
-    if verdict != "alike":
+    if verdict != "consistent":
         ax.title.set_color(VERDICT_COLOURS[verdict])
     return figure, ax
 
@@ -179,7 +178,7 @@ def plot_order_parameters(
     Parameters
     ----------
     checked
-        From :func:`swarmssm.analysis.diagnostics.checks.check`.
+        ``data`` of :func:`swarmssm.analysis.diagnostics.checks.check`.
     run
         Which.
     axes
@@ -209,7 +208,7 @@ def plot_order_parameters(
         own = one["series_observed"].sel(series=name).to_numpy()
         ax.plot(ahead, own, color=RECORDING, linewidth=1.2, label="recording")
         unit = format_unit(str(one["series_units"].sel(series=name).item()))
-        title = str(name).upper() if str(name) in ("amd", "avd") else str(name)
+        title = "AMD" if str(name) == "amd" else str(name).replace("_", " ")
         ax.set_ylabel(f"{title} ({unit})" if unit else title, parse_math=False)
         if not unit:
             ax.set_ylim(-0.02, 1.02)
@@ -223,13 +222,13 @@ def plot_order_parameters(
 def plot_pit(pit: xr.Dataset, ax: Axes | None = None) -> tuple[Figure, Axes]:
     """Draw how far the distribution of PITs is from uniform, with the band of 95 %.
 
-    A line above zero on the left and below on the right is of forecasts that are too narrow, the
-    reverse of ones that are too wide; one that stays on one side of forecasts to one side.
+    A line above zero on the left and below on the right shows forecasts that are too narrow, the
+    reverse ones that are too wide; a line on one side of zero shows biased forecasts.
 
     Parameters
     ----------
     pit
-        From :func:`swarmssm.analysis.diagnostics.checks.one_step_pit`.
+        ``data`` of :func:`swarmssm.analysis.diagnostics.checks.one_step_pit`.
     ax
         Where to draw; new axes if absent.
     """
@@ -253,8 +252,8 @@ def plot_pit(pit: xr.Dataset, ax: Axes | None = None) -> tuple[Figure, Axes]:
         colour = INDIVIDUALS[index % len(INDIVIDUALS)]
         ax.plot(points, one["ecdf"] - points, color=colour, linewidth=1.6, label=f"{name}{mark}")
     ax.set_xlim(0.0, 1.0)
-    ax.set_xlabel("PIT: share of the forecast below the sighting")
-    ax.set_ylabel("share of sightings below, minus uniform")
+    ax.set_xlabel("PIT: probability of smaller values in the forecast")
+    ax.set_ylabel("share of observations below, minus uniform")
     legend_below(ax)
     return figure, ax
 
@@ -315,16 +314,6 @@ def _plot_map(ax: Axes, own: xr.DataArray, drawn: xr.DataArray) -> None:
     figure_of(ax).colorbar(image, ax=ax, label="share, minus replicates'", shrink=0.9)
     ax.set_xlabel(_label(second.attrs["long_name"], second.attrs["units"]), parse_math=False)
     ax.set_ylabel(_label(first.attrs["long_name"], first.attrs["units"]), parse_math=False)
-
-
-def _word(one: xr.Dataset) -> str:
-    """Return the verdict on a statistic in a word or two."""
-    verdict = str(one["verdict"].item())
-    farthest = float(np.nanmax(np.abs(one["place_replicated"].to_numpy()), initial=0.0))
-    if verdict == "alike" and abs(float(one["place"])) > farthest > 0.0:
-        # It is farther out than all replicates, of which there are too few to say so.
-        return "too few draws"
-    return verdict
 
 
 def _label(text: str, unit: str) -> str:

@@ -161,13 +161,13 @@ def full_section(
         ask(
             "checked",
             "simulating swarms",
-            lambda: check(fit, tracks, draws=checks, part=part, seed=seed),
+            lambda: check(fit, tracks, draws=checks, part=part, seed=seed).data,
         )
         origins = int(evaluation.settings["origins"])
         ask(
             "pit",
             "how sure one step is",
-            lambda: one_step_pit(fit, tracks, part=part, origins=origins, seed=seed),
+            lambda: one_step_pit(fit, tracks, part=part, origins=origins, seed=seed).data,
         )
     if forces:
         ask(

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 import xarray as xr
 
-from swarmssm.analysis.diagnostics.checks.pit import pit_sentence
-from swarmssm.analysis.diagnostics.checks.verdicts import sentence as checks_sentence
+from swarmssm.analysis.diagnostics.checks.pit import ForecastCalibration
+from swarmssm.analysis.diagnostics.checks.result import PredictiveCheck
 from swarmssm.analysis.plots.checks import (
     plot_check_overview,
     plot_order_parameters,
@@ -27,7 +27,7 @@ from swarmssm.analysis.scoring.verdicts import verdict as scores_verdict
 __all__ = ["check_chapter", "comparison_chapter"]
 
 #: What a statistic of a verdict is called in the order in which they are told.
-VERDICTS = ("unlike", "doubtful", "alike", "unknown")
+VERDICTS = ("mismatch", "borderline", "consistent", "unknown")
 #: Statistics that are drawn one by one at most, those that tell most first.
 DRAWN = 9
 #: Of the intervals whose coverage is told.
@@ -69,7 +69,7 @@ def check_chapter(
     if checked is not None:
         blocks += _checked(anchor, checked)
     if pit is not None:
-        text = pit_sentence(pit)
+        text = ForecastCalibration(pit).verdict()
         title = "How sure one-step forecasts are"
         svg = as_svg(plot_pit(pit)[0], f"{anchor}-pit", f"{title}. {text}")
         blocks.append(Picture(title, "", text, svg))
@@ -78,7 +78,7 @@ def check_chapter(
 
 def _checked(anchor: str, checked: xr.Dataset) -> list[Block]:
     """Return overview, table, and pictures of what tells most."""
-    text = checks_sentence(checked)
+    text = PredictiveCheck(checked).verdict()
     title = "Does the model make swarms like this one"
     overview = as_svg(plot_check_overview(checked)[0], f"{anchor}-checks", f"{title}. {text}")
     blocks: list[Block] = [
@@ -140,7 +140,7 @@ def _verdict_rows(checked: xr.Dataset) -> Rows:
                 "statistic": str(one["title"].item()),
                 "p": _or_nothing(float(one["p_value"])),
                 "p corrected": _or_nothing(float(one["p_adjusted"])),
-                "in words": str(one["words"].item()),
+                "verdict": str(one["verdict"].item()),
             }
         )
     return rows

@@ -1,4 +1,4 @@
-"""Where the walls of a recording are known from."""
+"""The walls of a recording: those of its file, else where a model's wall force begins."""
 
 import json
 from typing import Any
@@ -13,25 +13,34 @@ from swarmssm.metrics.arena import Arena
 from swarmssm.models import StateSpaceModel
 from swarmssm.models.transitions import Walls
 
-__all__ = ["arena_of"]
+__all__ = ["SOFT_WALLS", "arena_of", "wall_name"]
 
 #: Attributes of tracks that hold the corners of the arena, with or without ``_<unit>`` behind.
 ATTRIBUTES = ("arena", "arena_border", "tank_wall")
 
 
+#: Source of an arena that is no tank: there the wall force of the fitted model begins.
+SOFT_WALLS = "the onset of the fitted wall force"
+
+
+def wall_name(walls: Arena | None) -> str:
+    """Return what distances to the walls are measured to."""
+    return SOFT_WALLS if walls is not None and walls.source == SOFT_WALLS else "the wall"
+
+
 def arena_of(fit: Fit, tracks: xr.Dataset, walls: Arena | str | None = None) -> Arena | None:
-    """Return the arena, and say in ``source`` where it is known from.
+    """Return the arena; its ``source`` says where it is known from.
 
     Parameters
     ----------
     fit
-        A model with soft walls is asked second.
+        Without an attribute of the tracks, the place where the model's wall force begins (at the
+        posterior median), if it has one. Animals of a tank swim beyond it, up to the real wall.
     tracks
-        Their attribute ``arena``, ``arena_border`` or ``tank_wall`` - corners, as an array or as
-        JSON, two of them for a box - is asked first.
+        Their attribute ``arena``, ``arena_border`` or ``tank_wall`` comes first: corners, as an
+        array or as JSON, two of them for a box.
     walls
-        An arena; ``"hull"``: the convex hull of all positions; ``"none"``; absent: as above, and
-        none if neither knows of walls.
+        An arena; ``"hull"``: the convex hull of all positions; ``"none"``; absent: as above.
 
     Raises
     ------
@@ -52,11 +61,11 @@ def arena_of(fit: Fit, tracks: xr.Dataset, walls: Arena | str | None = None) -> 
         raise InputError(f"walls: give an Arena, 'hull' or 'none', not {walls!r}.")
     if walls == "none" or space < 2:
         return None
-    return _told(tracks, space) or _inferred(fit, space)
+    return _recorded(tracks, space) or _inferred(fit, space)
 
 
-def _told(tracks: xr.Dataset, space: int) -> Arena | None:
-    """Return the arena that the tracks carry."""
+def _recorded(tracks: xr.Dataset, space: int) -> Arena | None:
+    """Return the arena in the attributes of the tracks."""
     unit = str(tracks.attrs.get("unit", ""))
     for name in ATTRIBUTES:
         for label in (name, f"{name}_{unit}"):
@@ -71,13 +80,13 @@ def _told(tracks: xr.Dataset, space: int) -> Arena | None:
             except (TypeError, ValueError) as error:
                 raise InputError(
                     f"tracks: the attribute {label} must hold corners (corner, space) of the "
-                    f"arena, two for a box ({error}). Mend it, or pass walls='none'."
+                    f"arena, two for a box ({error}). Correct it, or pass walls='none'."
                 ) from error
     return None
 
 
 def _inferred(fit: Fit, space: int) -> Arena | None:
-    """Return the soft walls of a model, in the middle of its posterior."""
+    """Return where the wall force of a model begins, at the posterior median."""
     model = fit.model
     if not isinstance(model, StateSpaceModel) or not isinstance(model.transition, Walls):
         return None
@@ -90,4 +99,4 @@ def _inferred(fit: Fit, space: int) -> Arena | None:
     scaler = fit.preparation.scaler
     scale, offset = np.array(scaler.scale[:space]), np.array(scaler.offset[:space])
     low, high = ((centre + sign * half) * scale + offset for sign in (-1, 1))
-    return Arena.box(low, high, "the soft walls of the fitted model")
+    return Arena.box(low, high, SOFT_WALLS)

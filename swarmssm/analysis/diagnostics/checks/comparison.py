@@ -1,6 +1,7 @@
-"""Posterior predictive checks: whether the fitted model makes swarms like the one seen."""
+"""Posterior predictive checks: whether swarms simulated from a fit match the recording."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,13 +9,18 @@ import numpy.typing as npt
 import xarray as xr
 
 from swarmssm import metrics
-from swarmssm.analysis.diagnostics.checks.arenas import arena_of
+from swarmssm.analysis.diagnostics.checks.arenas import arena_of, wall_name
 from swarmssm.analysis.diagnostics.checks.observables import Axis
 from swarmssm.analysis.diagnostics.checks.p_values import Judged, adjusted_p_values, judge
 from swarmssm.analysis.diagnostics.checks.replicates import COPIES, Runs, replicates, runs_of
-from swarmssm.analysis.diagnostics.checks.statistics import Statistic, chosen_statistics
-from swarmssm.analysis.diagnostics.checks.swarm import Scales, Swarm
-from swarmssm.analysis.diagnostics.checks.verdicts import LEVEL, verdicts
+from swarmssm.analysis.diagnostics.checks.result import (
+    LEVEL,
+    PredictiveCheck,
+    verdict_of,
+    verdict_of_divergence,
+)
+from swarmssm.analysis.diagnostics.checks.statistics import Chosen, Statistic, chosen_statistics
+from swarmssm.analysis.diagnostics.checks.swarm import BinScales, ObservedSwarm
 from swarmssm.analysis.posterior.intervals import QUANTILES, quantiles
 from swarmssm.analysis.posterior.subject import Subject, subject_of
 from swarmssm.errors import InputError
@@ -25,12 +31,16 @@ from swarmssm.tracks import Array, validate_tracks
 
 __all__ = ["check"]
 
-Chosen = Iterable[str | Statistic] | Mapping[str, Callable[[Swarm], Any] | Statistic]
 #: With fewer draws no p-value is below a tenth.
 LEAST_DRAWS = 10
 #: Order parameters that are kept over time: name -> units.
-SERIES = {"polarization": "1", "rotation": "1", "amd": "{length}", "avd": "{length}/s"}
-#: Beyond this share of sightings of individuals that came after the start, a note says so.
+SERIES = {
+    "polarization": "1",
+    "rotation": "1",
+    "amd": "{length}",
+    "displacement_difference": "{length}/s",
+}
+#: Share of observations of individuals that enter after the start from which a note says so.
 MANY_LATER = 0.02
 
 
@@ -47,84 +57,82 @@ def check(
     walls: Arena | str | None = None,
     every: int = 1,
     copies: int = COPIES,
-) -> xr.Dataset:
-    r"""Simulate whole swarms from the posterior, and compare them with the recording.
+) -> PredictiveCheck:
+    r"""Simulate swarms from the posterior, and compare them with the recording.
 
-    The scored part is cut into runs. From the first frame of each the model runs freely, with
-    everything drawn: the parameters and the first state from their posterior given the past alone
-    (filtered, not smoothed), the motion, and the noise of tracking. A replicate is then seen as
-    the recording was: by positions, not at all where the recording has a gap, its velocities
-    differences of seen positions. Each statistic of the recording is compared with that of the
-    replicates as :mod:`swarmssm.analysis.diagnostics.checks.p_values` says.
+    The scored part is cut into runs. The model is simulated from the first frame of each: the
+    parameters and the initial state are drawn from their posterior given the past alone (filtered,
+    not smoothed), then the motion and the tracking noise. A replicate is observed as the recording
+    was: positions only, missing where the recording has a gap; velocities are differences of
+    observed positions. Each statistic of the recording is compared with those of the replicates,
+    see :mod:`swarmssm.analysis.diagnostics.checks.p_values`.
 
-    *What is conditioned on*: the observed past of each run. If the model and its parameters are
-    right, recording and replicates are exchangeable given that, and p-values are uniform: exactly
-    with one run in a trial, nearly with several, since a later run starts from what the
-    recording - not the replicate - did before. Parameters that were learned from the scored
-    frames themselves draw p-values towards 1/2. Gaps are taken to be where they are whatever
-    the individuals do.
+    Replicates are conditioned on the observed past of each run. If the model is right, recording
+    and replicates are exchangeable given that, and p-values are uniform: exactly with one run in a
+    trial, nearly with several, since a later run starts from the recording, not from the replicate.
+    Parameters that were estimated from the scored frames themselves pull p-values towards 1/2.
+    Gaps are assumed to be independent of the motion.
 
     Parameters
     ----------
     fit
         A fit.
     tracks
-        Those the model was fitted on, or others.
+        The tracks of the fit, or others.
     draws
         Number of replicates, at least 10. No p-value is below ``1 / (draws + 1)``, and of a number
         below twice that.
     statistics
         Names of :data:`~swarmssm.analysis.diagnostics.checks.STATISTICS`, own
-        ``Statistic``, or ``{name: function}`` with functions of a
-        ``Swarm`` that return a number or an array; absent, all
-        ready-made ones that can be had of these tracks.
+        ``Statistic``, or ``{name: function}`` with functions of an
+        ``ObservedSwarm`` that return a number or an array; absent, all built-in ones that these
+        tracks have.
     steps
-        Length of a run; absent, a whole trial of the part if that has at most 200 frames, else
-        equal runs of at most that.
+        Length of a run in frames; absent, a whole trial of the part if it has at most 200 frames,
+        else equal runs of at most that.
     part
         See :func:`swarmssm.analysis.posterior.subject.subject_of`. Absent: the test part.
     seed
-        Of all draws.
+        Seed of all draws.
     progress
         Called as replicates are finished.
     walls
-        See ``arena_of``. A hull of the recording itself never
-        leaves the recording outside, so that p-values of walls lean towards 0 with it.
+        See ``arena_of``. The recording is never outside of its own hull, so that p-values of wall
+        statistics are biased towards 0 with ``"hull"``.
     every
-        Look at every so many frames alone: where tracking noise is large against a step, speeds
-        and turns of single frames tell nothing else.
+        Use every n-th frame: where tracking noise is large against a step, speeds and turns of
+        single frames are mostly noise.
     copies
-        Replicates that have a draw of the parameters in common (first states and noise are each
-        one's own), which takes a fraction of the time. With 1 each has its own, as the p-values
-        ask for where the parameters are so unsure that replicates differ by them as much as by
-        chance.
+        Replicates that share a draw of the parameters (each has its own initial state and noise),
+        which saves time. With 1 each has its own, which exact p-values need where the posterior of
+        the parameters is wide.
 
     Returns
     -------
-    Dataset with, for each statistic ``s`` that could be had, ``s_observed (...)`` and
-    ``s_replicated (draw, ...)``, NaN for replicates that flew off, and along ``statistic``:
+    Its ``data`` have, for each statistic ``s``, ``s_observed (...)`` and
+    ``s_replicated (draw, ...)``, NaN for replicates that diverged, and along ``statistic``:
 
     ``p_value``, ``p_adjusted``
-        The latter allows for their number, see :func:`adjusted_p_values`.
-    ``verdict``, ``words``
-        ``"alike"``; ``"doubtful"``: p below 0.05, but not when their number is allowed for;
-        ``"unlike"``: below 0.05 also then; and the same in a sentence.
+        The latter allows for the number of statistics, see :func:`adjusted_p_values`.
+    ``verdict``
+        ``consistent``, ``borderline``, ``mismatch`` or ``unknown``, see
+        :func:`~swarmssm.analysis.diagnostics.checks.result.verdict_of`.
     ``place``, ``place_replicated (draw, statistic)``
-        Standardised distances; of a number with a sign.
+        Standardised distances; with a sign for a number.
     ``hellinger``, ``hellinger_among``
-        Of a histogram: from the observed to the mean of the replicates; from one of these to the
-        mean of the others.
+        For a histogram: distance of the recording to the mean of the replicates, and median
+        distance of a replicate to the mean of the others.
     ``diverged (draw)``
-        1 for a replicate that flew off: it counts against the fit in every statistic, and the
-        statistic ``bounds`` is there if there are any.
+        1 for a replicate that diverged: it counts against the fit in every statistic, and adds the
+        statistic ``divergence``.
     ``series_observed (series, run, step)``, ``series_replicated (series, quantile, run, step)``
         Order parameters over time.
 
     Raises
     ------
     InputError
-        If an argument is out of range, a statistic fails or cannot be had of these tracks, or the
-        tracks do not fit the model.
+        If an argument is out of range, a statistic fails or is not available for these tracks, or
+        the tracks do not fit the model.
 
     References
     ----------
@@ -145,15 +153,16 @@ def check(
     subject = subject_of(fit, tracks, part)
     predictor = subject.fit.predictor()
     runs = runs_of(subject, predictor, steps)
+    wanted = [_with_wall(one, arena) for one in wanted]
     notes = [note for note in subject.notes if not note.startswith("Scores are in units")]
     observed = _swarm(subject, runs.seen, arena, None, every)
-    observed = _swarm(subject, runs.seen, arena, Scales.of(observed), every)
+    observed = _swarm(subject, runs.seen, arena, BinScales.of(observed), every)
     kept = []
     for one in wanted:
         reason = one.missing(observed)
         if reason and statistics is not None:
             raise InputError(
-                f"statistics: {one.name} cannot be had of these tracks: {reason}."
+                f"statistics: {one.name} is not available for these tracks: {reason}."
                 + (" Pass walls=, or give the tracks an attribute arena." if one.walls else "")
             )
         if reason:
@@ -161,7 +170,7 @@ def check(
         else:
             kept.append(one)
     if not kept:
-        raise InputError("statistics: none can be had of these tracks: " + " ".join(notes))
+        raise InputError("statistics: none is available for these tracks: " + " ".join(notes))
     own = {one.name: one.of(observed) for one in kept}
     replicated: dict[str, list[Array]] = {one.name: [] for one in kept}
     series: list[Array] = []
@@ -181,7 +190,7 @@ def check(
                     f"{value.shape} for a replicate. It must return the same for every swarm."
                 )
             replicated[one.name].append(value)
-    notes += _notes(runs, diverged, arena, observed, kept)
+    notes += _notes(runs, diverged, arena, kept)
     stacked = {name: np.stack(values) for name, values in replicated.items()}
     data = _values(kept, observed, own, stacked)
     judged = [judge(_kind(one, own), own[one.name], stacked[one.name]) for one in kept]
@@ -204,21 +213,31 @@ def check(
     result["diverged"] = (
         "draw",
         np.array(diverged, dtype=np.uint8),
-        {"units": "1", "long_name": "whether the replicate flew off"},
+        {"units": "1", "long_name": "whether the replicate diverged"},
     )
-    return xr.merge([result, _judgements(kept, own, stacked, judged, np.array(diverged), observed)],
-                    combine_attrs="override")  # fmt: skip
+    return PredictiveCheck(
+        xr.merge(
+            [result, _judgements(kept, own, judged, np.array(diverged))], combine_attrs="override"
+        )
+    )
+
+
+def _with_wall(one: Statistic, arena: Arena | None) -> Statistic:
+    """Return a statistic of walls under the name of the wall that is known."""
+    if not one.walls:
+        return one
+    return replace(one, title=one.title.replace("the wall", wall_name(arena)))
 
 
 def _swarm(
-    subject: Subject, seen: Array, arena: Arena | None, scales: Scales | None, every: int
-) -> Swarm:
-    """Return a swarm as seen, without the frame that all have in common."""
+    subject: Subject, seen: Array, arena: Arena | None, scales: BinScales | None, every: int
+) -> ObservedSwarm:
+    """Return a swarm as observed, without the first frame, which all replicates share."""
     fps = subject.fps / every
     thinned = seen[:, ::every]
     unit = str(subject.tracks.attrs.get("unit", ""))
     velocity = np.diff(thinned, axis=1) * fps
-    return Swarm(thinned[:, 1:], velocity, fps, unit, arena, scales)
+    return ObservedSwarm(thinned[:, 1:], velocity, fps, unit, arena, scales)
 
 
 def _kind(one: Statistic, own: Mapping[str, Array]) -> str:
@@ -230,7 +249,7 @@ def _kind(one: Statistic, own: Mapping[str, Array]) -> str:
 
 def _values(
     kept: list[Statistic],
-    observed: Swarm,
+    observed: ObservedSwarm,
     own: Mapping[str, Array],
     replicated: Mapping[str, Array],
 ) -> dict[str, Any]:
@@ -270,7 +289,7 @@ def _numbered(value: Array) -> tuple[Axis, ...]:
     )
 
 
-def _series(swarm: Swarm) -> Array:
+def _series(swarm: ObservedSwarm) -> Array:
     """Return the order parameters over time, ``(series, run, step)``."""
     turning = np.full(swarm.position.shape[:2], np.nan)
     if swarm.num_space > 1:
@@ -285,7 +304,7 @@ def _series(swarm: Swarm) -> Array:
     )
 
 
-def _series_data(observed: Swarm, replicated: list[Array]) -> dict[str, Any]:
+def _series_data(observed: ObservedSwarm, replicated: list[Array]) -> dict[str, Any]:
     """Label order parameters over time."""
     own = _series(observed)
     shape = (len(QUANTILES), *own.shape)
@@ -328,30 +347,31 @@ def _coordinates(subject: Subject, runs: Runs, every: int, draws: int) -> dict[s
 def _judgements(
     kept: list[Statistic],
     own: Mapping[str, Array],
-    replicated: Mapping[str, Array],
     judged: list[Judged],
     diverged: npt.NDArray[np.bool_],
-    observed: Swarm,
 ) -> xr.Dataset:
-    """Return p-values and verdicts along ``statistic``; ``bounds`` among them if need be."""
+    """Return p-values and verdicts along ``statistic``; ``divergence`` among them if need be."""
     names, titles = [one.name for one in kept], [one.title for one in kept]
     adjusted = adjusted_p_values(judged)
     extra: dict[str, Any] = {}
+    draws = len(diverged)
+    # A number has two sides.
+    least = [(2.0 if _kind(one, own) == "number" else 1.0) / (draws + 1) for one in kept]
+    verdicts = [
+        verdict_of(one.p_value, p, lowest)
+        for one, p, lowest in zip(judged, adjusted, least, strict=True)
+    ]
     if diverged.any():
-        draws = len(diverged)
         p_value = (1 + int((~diverged).sum())) / (draws + 1)
         away = np.where(diverged, np.nan, 0.0)
         judged = [*judged, Judged(p_value, 0.0, away)]
         adjusted = np.append(adjusted, p_value)
-        names.append("bounds")
-        titles.append("flying off")
-        attrs = {"units": "1", "long_name": "flying off", "kind": "number"}
-        extra["bounds_observed"] = ((), 0.0, attrs)
-        extra["bounds_replicated"] = ("draw", diverged.astype(np.float64), attrs)
-    length = observed.unit or "length units"
-    units = [one.units.format(length=length) for one in kept]
-    kinds = [_kind(one, own) for one in kept]
-    said = verdicts(names, titles, kinds, units, own, replicated, judged, adjusted, diverged)
+        names.append("divergence")
+        titles.append("divergence")
+        verdicts.append(verdict_of_divergence(diverged))
+        attrs = {"units": "1", "long_name": "divergence", "kind": "number"}
+        extra["divergence_observed"] = ((), 0.0, attrs)
+        extra["divergence_replicated"] = ("draw", diverged.astype(np.float64), attrs)
     along = "statistic"
     return xr.Dataset(
         {
@@ -366,12 +386,11 @@ def _judgements(
                 adjusted,
                 {"units": "1", "long_name": "p-value that allows for the number of statistics"},
             ),
-            "verdict": (along, [verdict for verdict, _ in said]),
-            "words": (along, [words for _, words in said]),
+            "verdict": (along, verdicts),
             "place": (
                 along,
                 [one.place for one in judged],
-                {"units": "1", "long_name": "standardised distance of the observed"},
+                {"units": "1", "long_name": "standardised distance of the recording"},
             ),
             "place_replicated": (
                 ("draw", along),
@@ -394,26 +413,26 @@ def _judgements(
 
 
 def _notes(
-    runs: Runs, diverged: list[bool], arena: Arena | None, observed: Swarm, kept: list[Statistic]
+    runs: Runs, diverged: list[bool], arena: Arena | None, kept: list[Statistic]
 ) -> list[str]:
-    """Return what a reader has to know."""
+    """Return warnings about this check."""
     notes = []
     if runs.left_out > MANY_LATER:
         notes.append(
-            f"{100 * runs.left_out:.0f} % of the sightings are of individuals that came after the "
-            "start of a run; they are left out, of the replicates too, which therefore lack what "
-            "these did to the others. Shorter runs (steps) leave fewer out."
+            f"{100 * runs.left_out:.0f} % of the observations are of individuals that enter after "
+            "the start of a run; they are left out, and replicates lack their effect on the "
+            "others. Shorter runs (steps) leave fewer out."
         )
     if any(diverged):
         notes.append(
-            f"{sum(diverged)} of {len(diverged)} replicates flew off; each counts against the fit "
+            f"{sum(diverged)} of {len(diverged)} replicates diverged; each counts against the fit "
             "in every statistic."
         )
     if arena is not None and any(one.walls for one in kept):
-        notes.append(f"The walls are {arena.source}.")
+        notes.append(f"Walls: {arena.source}.")
         if "hull" in arena.source:
             notes.append(
-                "The recording is never outside of its own hull and replicates may be, so that "
-                "p-values of distance and angle to the wall lean towards 0."
+                "The recording is never outside of its own hull and replicates may be: p-values of "
+                "wall statistics are biased towards 0."
             )
     return notes

@@ -1,12 +1,11 @@
-r"""How far the observed is from replicates, and how often a replicate would be as far.
+r"""Distances of the recording from its replicates, and their p-values.
 
-If the fitted model made the recording, the recording and its D replicates are alike before they
-are looked at: *exchangeable*. Any distance that treats all D + 1 the same way then has a rank that
-is uniform, whatever the statistic, and
+If the model is right, the recording and its D replicates are exchangeable. Any distance that treats
+all D + 1 the same way then has a uniform rank, whatever the statistic, and
 
 .. math:: p = \frac{1 + \#\{d : \text{replicate } d \text{ is at least as far}\}}{D + 1}
 
-is a p-value of any number of draws, never 0. As far in which sense:
+is a valid p-value for any number of draws, never 0. Distances are:
 
 - a *number*: its rank among the replicates', on either side: twice the smaller tail.
 - a *histogram*: the Hellinger distance to the mean of all the others, for each of the D + 1.
@@ -14,14 +13,14 @@ is a p-value of any number of draws, never 0. As far in which sense:
   each point a curve has a rank from outside among all; curves are ordered by the worst of their
   ranks, then by the second worst, and so on. The heights of single points may be of any size.
 
-A replicate that flew off, or has no value, is no company: it is never counted as "as far", so that
-each of them lowers p. A recording never flies off.
+A replicate that diverged, or has no value, never counts as "at least as far": each lowers p. A
+recording never diverges.
 
-Of many statistics some are far by chance. The adjusted p-value is that of Westfall and Young
-(1993): how often the *largest* standardised distance of a replicate, over all statistics, exceeds
-that of the observed in this one; of a model that is right, one check in twenty has any adjusted
-p-value below 0.05. The standardised distance is that from the median of all D + 1, in units in
-which their 5 % and 95 % quantiles are 1.64, to each side apart.
+Some of many statistics are far by chance. The adjusted p-value is that of Westfall and Young
+(1993): the share of replicates whose *largest* standardised distance over all statistics exceeds
+that of the recording in this one; if the model is right, any adjusted p-value is below 0.05 in one
+check of twenty. The standardised distance is that from the median of all D + 1, in units in which
+their 5 % and 95 % quantiles are 1.64, on each side separately.
 """
 
 from dataclasses import dataclass
@@ -44,18 +43,18 @@ FARTHEST = 1e9
 
 @dataclass(frozen=True)
 class Judged:
-    """What became of one statistic.
+    """Comparison of one statistic with its replicates.
 
     Attributes
     ----------
     p_value
-        NaN if the observed has no value.
+        NaN if the recording has no value.
     place
-        Standardised distance of the observed; of a number with its sign.
+        Standardised distance of the recording; with its sign for a number.
     places
         ``(draw,)``: those of the replicates, NaN where there is none.
     hellinger, hellinger_among
-        Of a histogram: the distance from the observed to the mean of the replicates, and the
+        For a histogram: the distance from the recording to the mean of the replicates, and the
         median over replicates of that to the mean of the others. Else NaN.
     """
 
@@ -67,7 +66,7 @@ class Judged:
 
 
 def judge(kind: str, observed: npt.ArrayLike, replicated: npt.ArrayLike) -> Judged:
-    """Compare the observed with replicates.
+    """Compare the recording with its replicates.
 
     Parameters
     ----------
@@ -81,15 +80,15 @@ def judge(kind: str, observed: npt.ArrayLike, replicated: npt.ArrayLike) -> Judg
     draws = len(np.asarray(replicated))
     every = np.concatenate([np.asarray(observed)[None], np.asarray(replicated)])
     flat = every.reshape(draws + 1, -1).astype(np.float64)
-    # What the observed does not tell cannot be compared; who has anything else missing is out.
+    # Compared is what the recording has; replicates that lack any of it are left out.
     flat = flat[:, np.isfinite(flat[0])]
     nowhere = Judged(float("nan"), float("nan"), np.full(draws, np.nan))
     if not flat.shape[1] or (kind == "histogram" and flat[0].sum() <= 0):
         return nowhere
-    told = np.isfinite(flat).all(-1)
+    known = np.isfinite(flat).all(-1)
     if kind == "histogram":
-        told &= flat.sum(-1) > 0
-    values = flat[told]
+        known &= flat.sum(-1) > 0
+    values = flat[known]
     among, own = float("nan"), float("nan")
     if kind == "number":
         far, near = _tails(values[:, 0])
@@ -105,17 +104,17 @@ def judge(kind: str, observed: npt.ArrayLike, replicated: npt.ArrayLike) -> Judg
         own = float(distance[0])
         among = float(np.median(distance[1:])) if len(distance) > 1 else float("nan")
     places = np.full(draws + 1, np.nan)
-    places[told] = inside
+    places[known] = inside
     return Judged(p_value, float(places[0]), places[1:], own, among)
 
 
 def adjusted_p_values(judged: list[Judged]) -> Array:
-    """Return p-values that allow for the number of statistics, none below its own.
+    """Return p-values that allow for the number of statistics, none below the unadjusted.
 
     Parameters
     ----------
     judged
-        Of one check, so that draws are the same.
+        Those of one check, with the same replicates.
 
     Returns
     -------
@@ -125,7 +124,7 @@ def adjusted_p_values(judged: list[Judged]) -> Array:
     if not asked:
         return np.full(len(judged), np.nan)
     every = np.stack([np.abs(one.places) for one in asked], -1)
-    # Who has flown off has no place anywhere, and is as far as nobody.
+    # A diverged replicate has no distance and never counts.
     largest = np.where(np.isnan(every), -np.inf, every).max(-1)
     adjusted = np.full(len(judged), np.nan)
     for index, one in enumerate(judged):

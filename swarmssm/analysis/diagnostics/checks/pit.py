@@ -1,35 +1,98 @@
-"""Whether one-step forecasts are as sure as they should be: where in each the next sighting falls.
+"""Calibration of one-step forecasts by the probability integral transform.
 
-The probability integral transform (PIT) of a sighting is the probability that its forecast, made
-from the past alone, gives to anything smaller. If forecasts are right these are uniform on
-[0, 1] (Dawid 1984, J. R. Stat. Soc. A 147:278; Diebold et al. 1998). A hump says that
-forecasts are too wide, a trough that they are too narrow, a slope that they lie to one side.
+The probability integral transform (PIT) of an observation is the probability that its forecast,
+made from the past alone, gives to smaller values. If forecasts are calibrated, PITs are uniform on
+[0, 1] (Dawid 1984, J. R. Stat. Soc. A 147:278; Diebold et al. 1998). A hump means that
+forecasts are too wide, a trough that they are too narrow, a slope that they are biased.
 """
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 import scipy
 import xarray as xr
 
-from swarmssm.analysis.diagnostics.sbc.ranks import calibration_of_ranks
+from swarmssm.analysis.diagnostics.sbc.ranks import Calibration, calibration_of_ranks
 from swarmssm.analysis.posterior.subject import Subject, subject_of
 from swarmssm.analysis.scoring.forecasters import FitForecaster
-from swarmssm.analysis.scoring.table import format_number
 from swarmssm.errors import InputError
 from swarmssm.inference import Fit
 from swarmssm.tracks import Array
 
-__all__ = ["mixture_pit", "one_step_pit", "pit_sentence", "ranks_of"]
+__all__ = ["ForecastCalibration", "calibration_of_pit", "mixture_pit", "one_step_pit"]
 
-#: Ranks that a PIT is sorted into.
+#: Number of ranks less one into which PITs are sorted.
 RANKS = 99
-#: Frames to forecast from at once, so that memory stays bounded.
+#: Origins of forecasts at once; bounds the memory.
 AT_ONCE = 100
-#: A coverage or a mean PIT is called wrong if it is farther than this from what it should be.
-NEARLY = 0.03
+#: Deviation of a coverage or a mean PIT from which a verdict names it.
+DEVIATION = 0.03
+
+
+@dataclass(frozen=True)
+class ForecastCalibration(Calibration):
+    """Result of :func:`one_step_pit` and :func:`loo_pit`.
+
+    Attributes
+    ----------
+    data
+        Those of ``calibration_of_ranks`` with a ``parameter`` for each coordinate, and ``pit``.
+    """
+
+    def summary(self) -> pd.DataFrame:
+        """Return a row for each coordinate: ``in_band``, ``p_value``, ``mean_pit``, coverage."""
+        frame = super().summary().rename_axis("coordinate")
+        other = [dim for dim in self.data["pit"].dims if dim != "space"]
+        frame.insert(2, "mean_pit", self.data["pit"].mean(other).to_numpy())
+        return frame
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return a row for each observed coordinate with its ``pit``."""
+        return self.data["pit"].to_dataframe()[["pit"]].dropna().reset_index()
+
+    def verdict(self) -> str:
+        """Return in one line whether one-step forecasts are calibrated."""
+        frame = self.summary()
+        coverage = float(frame["coverage_90"].mean())
+        wrong = []
+        if abs(coverage - 0.9) > DEVIATION:
+            wrong.append("too narrow" if coverage < 0.9 else "too wide")
+        wrong += [
+            f"biased along {name} (mean PIT {mean:.2f})"
+            for name, mean in frame["mean_pit"].items()
+            if abs(mean - 0.5) > DEVIATION
+        ]
+        tail = (
+            f"90 % intervals hold {100 * coverage:.0f} % of {self.data.sizes['dataset']} "
+            f"observations; smallest p {float(frame['p_value'].min()):.2g}, taking them as "
+            "independent."
+        )
+        if bool(frame["in_band"].all()):
+            return f"One-step forecasts are calibrated: {tail}"
+        return f"One-step forecasts are {' and '.join(wrong) or 'of another shape'}: {tail}"
+
+
+def calibration_of_pit(pit: Array, names: Sequence[str]) -> xr.Dataset:
+    """Return the calibration of PITs ``(..., space)``, NaN left out.
+
+    Parameters
+    ----------
+    pit
+        From 0 to 1.
+    names
+        Of the coordinates.
+    """
+    ranks = {}
+    for axis, name in enumerate(names):
+        known = pit[..., axis][np.isfinite(pit[..., axis])]
+        bins: npt.NDArray[np.int64] = np.floor(known * (RANKS + 1)).astype(np.int64)
+        ranks[name] = np.clip(bins, 0, RANKS)
+    return calibration_of_ranks(ranks, RANKS)
 
 
 def one_step_pit(
@@ -40,35 +103,35 @@ def one_step_pit(
     origins: int = 100,
     part: str | None = None,
     seed: int = 0,
-) -> xr.Dataset:
-    """Return the PIT of sightings in their one-step forecasts, and whether they are uniform.
+) -> ForecastCalibration:
+    """Return the PIT of observations in their one-step forecasts, and whether they are uniform.
 
-    A state-space model's forecast is the mixture over draws of parameters and states of what each
-    expects, tracking noise included; that of any other model is told by its draws.
+    The forecast of a state-space model is a mixture over draws of parameters and states, tracking
+    noise included; that of any other model is given by its draws.
 
     Parameters
     ----------
     fit, tracks, part
         As in :func:`swarmssm.analysis.diagnostics.checks.check`.
     draws
-        Draws of each forecast.
+        Draws for each forecast.
     origins
-        Frames to forecast from in each trial at most, spread evenly.
+        Largest number of frames to forecast from in each trial, spread evenly.
     seed
-        Of all draws.
+        Seed of all draws.
 
     Returns
     -------
-    That of ``calibration_of_ranks`` with a ``parameter``
-    for each coordinate, ``dataset`` numbering the sightings; and ``pit (origin, individual,
-    space)`` with ``trial`` and ``time (origin)`` of the frame that is forecast from. The band takes
-    sightings as independent: of the same individual they are if the model is right, while those
-    of neighbours in one frame may not be quite.
+    Its ``data`` are those of ``calibration_of_ranks`` with a ``parameter`` for each coordinate,
+    ``dataset`` numbering the observations; and ``pit (origin, individual, space)`` with ``trial``
+    and ``time (origin)`` of the frame that is forecast from. The band takes observations as
+    independent: those of one individual are if the model is right, those of neighbours in one
+    frame may not be.
 
     Raises
     ------
     InputError
-        If an argument is out of range, or nobody is seen in two consecutive frames.
+        If an argument is out of range, or no individual is observed in two consecutive frames.
 
     References
     ----------
@@ -89,13 +152,11 @@ def one_step_pit(
         ]
     )
     names = [str(name) for name in subject.tracks["space"].values]
-    # Each coordinate has as many as the others: a sighting is one of all of them.
-    ranks = {name: ranks_of(pit[..., axis]) for axis, name in enumerate(names)}
-    found = calibration_of_ranks(ranks, RANKS)
+    found = calibration_of_pit(pit, names)
     found["pit"] = (
         ("origin", "individual", "space"),
         pit,
-        {"units": "1", "long_name": "probability that the forecast gave to less than what came"},
+        {"units": "1", "long_name": "probability of smaller values in the forecast"},
     )
     stamps = subject.tracks["time"].to_numpy()
     trial_names = np.array([str(name) for name in subject.tracks["trial"].values])
@@ -106,21 +167,21 @@ def one_step_pit(
         time=("origin", stamps[rows], {"units": "s", "long_name": "time of the forecast's frame"}),
     )
     found.attrs |= {"model": fit.settings.model, "part": subject.part, "draws_of_forecast": draws}
-    return found
+    return ForecastCalibration(found)
 
 
 def mixture_pit(truth: Array, location: Array, variance: Array, degrees: float = math.inf) -> Array:
-    """Return the probability that a mixture gives to less than what came.
+    """Return the probability that a mixture gives to values below the observed.
 
     Parameters
     ----------
     truth
         ``(...)``.
     location, variance
-        ``(draw, ...)``, of each part, all of one weight. A part that is not finite puts half of its
-        weight to either side.
+        ``(draw, ...)``, of each component, all of equal weight. A component that is not finite has
+        half of its weight on either side.
     degrees
-        Of freedom, if the parts are Student's t; else infinite.
+        Degrees of freedom of Student's t components; infinite for normal ones.
 
     Returns
     -------
@@ -169,41 +230,3 @@ def _pit(
     pit: Array = (below + 0.5) / (draws + 1.0)
     known = np.isfinite(truth) & ~np.isnan(drawn).any(0)
     return np.where(known, pit, np.nan)
-
-
-def ranks_of(pit: Array) -> npt.NDArray[np.int64]:
-    """Return in which of equal bins each known PIT is."""
-    known = pit[np.isfinite(pit)]
-    bins: npt.NDArray[np.int64] = np.floor(known * (RANKS + 1)).astype(np.int64)
-    return np.clip(bins, 0, RANKS)
-
-
-def pit_sentence(pit: xr.Dataset) -> str:
-    """Say in a sentence what :func:`one_step_pit` found, and how far it can be believed."""
-    number = pit.sizes["dataset"]
-    coverage = float(pit["coverage"].sel(level=0.9).mean())
-    passes = bool(pit["passes"].all())
-    spread = f"{100 * coverage:.0f} % of {number} sightings are within their central 90 %"
-    if passes:
-        return (
-            f"One-step forecasts are as sure as they should be: {spread}, and where in their "
-            "forecasts they fall is uniform within the 95 % band. This says nothing of runs of "
-            "many steps."
-        )
-    least = float(pit["p_value"].min())
-    wrong = []
-    if abs(coverage - 0.9) > NEARLY:
-        wrong.append("too narrow" if coverage < 0.9 else "too wide")
-    middle = pit["pit"].mean([dim for dim in pit["pit"].dims if dim != "space"])
-    for name in middle["space"].to_numpy():
-        place = float(middle.sel(space=name))
-        if abs(place - 0.5) > NEARLY:
-            wrong.append(
-                f"to one side along {name} (sightings are at {place:.2f} of them, not 0.5)"
-            )
-    what = " and ".join(wrong) if wrong else "of another shape than what comes"
-    return (
-        f"One-step forecasts are {what}: {spread}, and where in their forecasts they fall is "
-        f"not uniform (p {'= ' + format_number(least, 2) if least > 1e-6 else 'below 1e-6'}). The "
-        "p-value takes sightings as independent, which neighbours in one frame are not quite."
-    )

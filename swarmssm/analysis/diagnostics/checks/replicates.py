@@ -1,4 +1,4 @@
-"""Whole swarms from the posterior, started where the recording was, and seen as it was seen."""
+"""Swarms simulated from the posterior, started and observed as the recording was."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -21,19 +21,19 @@ from swarmssm.tracks import Array
 __all__ = ["Runs", "replicates", "runs_of"]
 
 Rows = npt.NDArray[np.int64]
-#: Frames from which the first state of a run is filtered at least, if a trial is long enough.
+#: Least history from which the initial state is filtered, where a trial is long enough.
 HISTORY = 20
-#: Longest run where none is asked for.
+#: Longest run by default.
 STEPS = 200
-#: Draws that run at once, so that progress is seen, and pairs of all their frames.
+#: Draws at once, and pairs of individuals in all their frames.
 AT_ONCE, LARGEST = 24, 5_000_000
-#: Replicates that have their parameters in common.
+#: Replicates with the same parameters.
 COPIES = 4
 
 
 @dataclass(frozen=True)
 class Runs:
-    """Stretches of a recording, each to be run again from its first frame.
+    """Segments of a recording, each simulated again from its first frame.
 
     Attributes
     ----------
@@ -42,12 +42,12 @@ class Runs:
     steps
         Frames after the start.
     seen
-        ``(run, steps + 1, individual, space)``: positions, NaN where not seen, and for those who
-        are not there at the start.
+        ``(run, steps + 1, individual, space)``: positions, NaN where missing, and for individuals
+        that are absent at the start.
     present
-        ``(run, individual)``: who is there at the start, and therefore runs.
+        ``(run, individual)``: whether an individual is present at the start, and is simulated.
     left_out
-        Share of sightings that are of others, who came later.
+        Share of observations of individuals that enter later.
     """
 
     trials: Rows
@@ -62,22 +62,22 @@ class Runs:
 
 
 def runs_of(subject: Subject, predictor: Predictor, steps: int | None) -> Runs:
-    """Cut the scored part into runs that follow each other.
+    """Cut the scored part into consecutive runs.
 
     Parameters
     ----------
     subject
-        What is checked.
+        The data that are checked.
     predictor
-        Says who can be started.
+        Predictor of the fit.
     steps
-        Frames of a run after its start; absent, the longest trial in as few equal runs as
-        have at most :data:`STEPS`. A run is cut short where the trial ends.
+        Frames of a run after its start; absent, the longest trial is cut into the fewest equal
+        runs of at most :data:`STEPS`. A run ends where the trial ends.
 
     Raises
     ------
     InputError
-        If no trial has room for a run of ``steps``, or for any.
+        If no trial is long enough for a run of ``steps``, or for any.
     """
     order = ("trial", "time", "individual", "space")
     positions = subject.tracks["position"].transpose(*order).to_numpy().astype(np.float64)
@@ -95,7 +95,7 @@ def runs_of(subject: Subject, predictor: Predictor, steps: int | None) -> Runs:
     trials, rows = [], []
     for trial, (first, last) in enumerate(spans):
         for row in range(first, max(last - max(steps // 2, 2), first) + 1, steps):
-            # Nobody can be started from a frame in which nobody is.
+            # A run starts in a frame with at least one individual.
             start = row + int(usable[trial, row : last + 1].argmax())
             if last - start >= 2:
                 trials.append(trial)
@@ -129,36 +129,34 @@ def replicates(
     progress: Callable[[Progress], None] | None = None,
     copies: int = COPIES,
 ) -> Iterator[Array | None]:
-    """Yield replicates of all runs, each with first states and noise of its own.
+    """Yield replicates of all runs, each with its own initial states and noise.
 
     Parameters
     ----------
     subject, predictor, runs
-        What is run again, and by whom.
+        The data, the predictor of the fit, and the runs.
     draws
-        How many.
+        Number of replicates.
     seed
-        Of all draws.
+        Seed of all draws.
     progress
         Called as replicates are finished.
     copies
-        How many have their parameters in common; each draw of these runs by itself, while copies
-        run at once.
+        Replicates with the same parameters, which are simulated at once.
 
     Yields
     ------
-    As ``runs.seen``, NaN in the same places, with the same first frame; ``None`` for one that flew
-    off: it is not finite, or farther out than ``BOUNDS`` times
-    the recording.
+    As ``runs.seen``, NaN in the same places, with the same first frame; ``None`` for one that
+    diverged: it is not finite, or farther out than ``BOUNDS`` times the recording.
     """
     far = BOUNDS * max(1.0, float(np.nanmax(np.abs(runs.seen))))
     hidden = np.isnan(runs.seen)
-    # How long somebody is seen: what happens after that is nobody's business.
+    # Divergence counts up to the last observation of an individual.
     lasting = np.flip(np.maximum.accumulate(np.flip(~hidden.all((-1, -2)), 1), axis=1), 1)[:, 1:]
     counted = lasting[:, :, None] & runs.present[:, None]
     model = subject.fit.model
     if not (isinstance(model, StateSpaceModel) and priors_of(model)):
-        # Without parameters to be drawn all draws run at once anyway.
+        # Without uncertain parameters all replicates are simulated at once.
         copies = 1
     trials, rows = (torch.from_numpy(np.tile(at, copies)) for at in (runs.trials, runs.rows))
     pairs = copies * len(runs) * runs.steps * runs.present.shape[1] ** 2
@@ -171,7 +169,7 @@ def replicates(
             states = predictor.run(beginning, runs.steps, sample=True).states
             for draw in range(number):
                 values = {} if beginning.parameters is None else beginning.parameters[draw]
-                drawn = _sighted(subject, states[draw], values)
+                drawn = _observed(subject, states[draw], values)
                 for positions in np.split(drawn, copies)[: draws - done]:
                     done += 1
                     good = (np.abs(positions) <= far).all(-1)
@@ -184,13 +182,13 @@ def replicates(
                 progress(Progress(done, draws))
 
 
-def _sighted(subject: Subject, states: torch.Tensor, values: Mapping[str, Any]) -> Array:
-    """Return where the individuals of one draw are seen, in the tracks' own units."""
+def _observed(subject: Subject, states: torch.Tensor, values: Mapping[str, Any]) -> Array:
+    """Return the observed positions of one draw, in the units of the tracks."""
     model, scaler = subject.fit.model, subject.fit.preparation.scaler
     space = subject.num_space
     observed = states[..., :space]
     if isinstance(model, StateSpaceModel) and not model.emission.is_exact:
-        # An individual that is not there has no state; what is drawn for it is not looked at.
+        # An absent individual has no state; what is drawn for it is masked.
         with subject.fit.with_parameters(values), torch.no_grad():
             observed = model.emission(states.nan_to_num()).sample()[..., :space]
         observed = observed.masked_fill(states[..., :1].isnan(), torch.nan)

@@ -1,4 +1,4 @@
-"""What a statistic is given: a swarm as it was seen, observed or simulated alike."""
+"""The argument of a statistic: a swarm as observed, whether recorded or simulated."""
 
 import math
 from dataclasses import dataclass
@@ -14,31 +14,31 @@ from swarmssm.metrics.memory import turning_angles
 from swarmssm.metrics.pairs import pair_distances
 from swarmssm.tracks import Array
 
-__all__ = ["Scales", "Swarm"]
+__all__ = ["BinScales", "ObservedSwarm"]
 
-#: Pairs of individuals of which a statistic of pairs is taken at most.
+#: Statistics of pairs use at most this many pairs.
 MAX_PAIRS = 400_000
-#: The largest scale is this quantile of the observed.
+#: Scales are this quantile of the recorded values.
 FAR = 0.99
 
 
 @dataclass(frozen=True)
-class Swarm:
-    """Runs of a swarm: of the recording, or of one replicate seen as the recording was.
+class ObservedSwarm:
+    """Runs of the recording, or of one replicate observed as the recording was.
 
     Attributes
     ----------
     position, velocity
-        ``(run, time, individual, space)`` in the tracks' units, NaN where not seen. Velocities are
-        differences of seen positions, ``(p(t) - p(t - 1)) * fps``, in both.
+        ``(run, time, individual, space)`` in the tracks' units, NaN where missing. Velocities are
+        differences of observed positions, ``(p(t) - p(t - 1)) * fps``, in both.
     fps
         Frames per second of these arrays.
     unit
-        Of length; may be empty.
+        Unit of length; may be empty.
     walls
-        The arena, if it is known.
+        The arena, if known.
     scales
-        Sizes of the observed; the same for all replicates, so that histograms share their bins.
+        Scales of the recording, also in replicates, so that histograms have the same bins.
     """
 
     position: Array
@@ -46,16 +46,16 @@ class Swarm:
     fps: float
     unit: str = ""
     walls: Arena | None = None
-    scales: "Scales | None" = None
+    scales: "BinScales | None" = None
 
     @property
     def mask(self) -> npt.NDArray[np.bool_]:
-        """Who was seen when: ``(run, time, individual)``."""
+        """Whether an individual is observed: ``(run, time, individual)``."""
         return np.asarray(np.isfinite(self.position).all(-1))
 
     @property
     def num_individuals(self) -> int:
-        """Number of individuals, seen or not."""
+        """Number of individuals."""
         return int(self.position.shape[-2])
 
     @property
@@ -64,13 +64,13 @@ class Swarm:
         return int(self.position.shape[-1])
 
     @cached_property
-    def sparse(self) -> "Swarm":
-        """Every so many frames of it, few enough that all pairs can be taken."""
+    def sparse(self) -> "ObservedSwarm":
+        """Every n-th frame, so few that all pairs fit into memory."""
         runs, times, individuals, _ = self.position.shape
         step = max(1, math.ceil(runs * times * individuals**2 / MAX_PAIRS))
         if step == 1:
             return self
-        return Swarm(
+        return ObservedSwarm(
             self.position[:, ::step],
             self.velocity[:, ::step],
             self.fps / step,
@@ -86,18 +86,18 @@ class Swarm:
 
 
 @dataclass(frozen=True)
-class Scales:
-    """Sizes of an observed swarm, from which bins are made.
+class BinScales:
+    """Scales of a recording, from which the bins of histograms are made.
 
     Attributes
     ----------
     speed, turn, nearest, pair
-        99 % of speeds, absolute turning angles, distances to the nearest, distances of pairs are
-        at most this. 1 where there are none (pi for ``turn``).
+        99 % quantiles of speeds, absolute turning angles, nearest-neighbour distances and pair
+        distances; 1 where there are none (pi for ``turn``).
     wall
-        98 % of distances to the wall are between these; 0 and 1 where there are none.
+        1 % and 99 % quantiles of the distances to the wall; 0 and 1 where there are none.
     near
-        Half of the distances to the nearest are at most this.
+        Median nearest-neighbour distance.
     """
 
     speed: float
@@ -108,7 +108,7 @@ class Scales:
     near: float
 
     @classmethod
-    def of(cls, swarm: Swarm) -> "Scales":
+    def of(cls, swarm: ObservedSwarm) -> "BinScales":
         """Measure a swarm."""
         few = swarm.sparse
         walls: Any = np.empty(0)
@@ -127,14 +127,14 @@ class Scales:
 
 
 def _size(values: Array, *, share: float = FAR, default: float = 1.0) -> float:
-    """Return the size that a share of the values is within."""
+    """Return a quantile of the finite values."""
     seen = values[np.isfinite(values)]
     size = float(np.quantile(seen, share)) if seen.size else 0.0
     return size if size > 0 else default
 
 
 def _between(values: Array) -> tuple[float, float]:
-    """Return between which sizes nearly all values are."""
+    """Return the range of nearly all values."""
     seen = values[np.isfinite(values)]
     if not seen.size:
         return 0.0, 1.0

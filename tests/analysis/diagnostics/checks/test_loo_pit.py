@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from swarmssm.analysis.diagnostics.checks import loo_pit, pit_sentence
+from swarmssm.analysis.diagnostics.checks import loo_pit
 from swarmssm.analysis.diagnostics.checks.loo_pit import weighted_pit
 from swarmssm.errors import InputError
 
@@ -30,15 +30,16 @@ def test_the_mean_of_a_normal_with_each_sighting_left_out():
 
 
 def test_the_model_that_made_the_flock_is_calibrated(flock):
-    found = loo_pit(*flock, sightings=150)
+    result = loo_pit(*flock, observations=150)
+    found = result.data
     # Such a p-value is below 1e-4 in one of ten thousand flocks.
     assert (found["p_value"] > 1e-4).all()
     assert found["pit"].shape == (150, 2)
     assert np.isnan(found["pareto_k"]).all()  # nothing was learned, so nothing is left out
-    assert "sightings are within" in pit_sentence(found)
+    assert "of 150 observations" in result.verdict()
 
 
-@pytest.mark.parametrize("name", ["draws", "sightings"])
+@pytest.mark.parametrize("name", ["draws", "observations"])
 def test_too_few_are_refused(flock, name):
     with pytest.raises(InputError, match=name):
         loo_pit(*flock, **{name: 0})

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from swarmssm.analysis.diagnostics.checks.pit import mixture_pit, one_step_pit, pit_sentence
+from swarmssm.analysis.diagnostics.checks.pit import mixture_pit, one_step_pit
 from swarmssm.errors import InputError
 
 NAN = np.nan
@@ -29,11 +29,14 @@ def test_a_part_that_broke_down_is_on_either_side():
 
 
 def test_the_model_that_made_the_flock_is_calibrated(flock):
-    found = one_step_pit(*flock, draws=40, origins=30)
+    result = one_step_pit(*flock, draws=40, origins=30)
+    found = result.data
     assert found["passes"].all()
     assert found["pit"].dims == ("origin", "individual", "space")
     assert found["parameter"].values.tolist() == ["x", "y"]
-    assert "as sure as they should be" in pit_sentence(found)
+    assert result.verdict().startswith("One-step forecasts are calibrated")
+    assert result.summary()["in_band"].tolist() == [True, True]
+    assert len(result.to_pandas()) == int(found["pit"].notnull().sum())
 
 
 @pytest.mark.parametrize(("factor", "words"), [(3.0, "too narrow"), (0.2, "too wide")])
@@ -43,16 +46,16 @@ def test_a_flock_that_is_noisier_or_calmer_is_told(flock, factor, words):
     position = tracks["position"]
     smooth = position.rolling(time=5, center=True, min_periods=1).mean()
     found = one_step_pit(fit, tracks.assign(position=smooth + factor * (position - smooth)))
-    assert not found["passes"].all()
-    assert words in pit_sentence(found)
+    assert not found.data["passes"].all()
+    assert words in found.verdict()
 
 
 def test_a_model_that_only_draws_has_pits_too(quick_fit, boids):
     found = one_step_pit(quick_fit, boids, draws=20, origins=10)
-    pit = found["pit"].values
+    pit = found.data["pit"].values
     assert np.isfinite(pit).any()
     assert ((pit > 0) & (pit < 1))[np.isfinite(pit)].all()
-    assert pit_sentence(found)
+    assert found.verdict()
 
 
 def test_too_few_draws_are_refused(flock):

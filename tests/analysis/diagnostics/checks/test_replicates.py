@@ -8,6 +8,7 @@ from swarmssm.analysis.diagnostics.checks.replicates import replicates, runs_of
 from swarmssm.analysis.posterior.subject import subject_of
 from swarmssm.errors import InputError
 from swarmssm.inference.prediction import Trajectory
+from swarmssm.jobs import Progress
 
 #: Of the flock's tracking.
 NOISE = 0.03
@@ -108,10 +109,10 @@ def test_who_flies_off_is_told_of(flock, monkeypatch, value):
 def test_the_same_seed_gives_the_same_and_progress_is_told(flock):
     subject, predictor, runs = begun(*flock)
     told = []
-    first = list(replicates(subject, predictor, runs, 2, 5, lambda *done: told.append(done)))
+    first = list(replicates(subject, predictor, runs, 2, 5, told.append))
     again = list(replicates(subject, predictor, runs, 2, 5))
     np.testing.assert_array_equal(first, again)
-    assert told == [(2, 2)]
+    assert told == [Progress(2, 2)]
 
 
 def test_runs_that_do_not_fit_are_refused(flock):

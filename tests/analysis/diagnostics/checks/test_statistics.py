@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from swarmssm.analysis.diagnostics.checks import STATISTICS, Scales, Swarm
+from swarmssm.analysis.diagnostics.checks import STATISTICS, BinScales, ObservedSwarm
 from swarmssm.analysis.diagnostics.checks import swarm as swarms
 from swarmssm.metrics.arena import Arena
 
@@ -16,8 +16,8 @@ def seen(position, fps=10.0):
     space = position.shape[-1]
     walls = Arena.box([-20.0] * space, [20.0] * space)
     velocity = np.diff(position, axis=1) * fps
-    plain = Swarm(position[:, 1:], velocity, fps, "cm", walls)
-    return Swarm(plain.position, velocity, fps, "cm", walls, Scales.of(plain))
+    plain = ObservedSwarm(position[:, 1:], velocity, fps, "cm", walls)
+    return ObservedSwarm(plain.position, velocity, fps, "cm", walls, BinScales.of(plain))
 
 
 def wandering(space=2, individuals=5, frames=40, runs=2):
@@ -71,7 +71,7 @@ def test_two_that_go_straight_beside_each_other():
     assert value["polarization"] == pytest.approx(1.0)
     assert value["rotation"] == pytest.approx(0.0)
     assert value["amd"] == pytest.approx(3.0)
-    assert value["avd"] == pytest.approx(0.0)
+    assert value["displacement_difference"] == pytest.approx(0.0)
     # The run of 20 frames lasts 2 s.
     assert value["state_duration"] == pytest.approx(2.0)
     np.testing.assert_allclose(value["states"], [0, 1, 0, 0])
@@ -89,13 +89,15 @@ def test_two_that_go_straight_beside_each_other():
 
 def test_what_is_beyond_the_bins_is_in_the_last():
     slow = wandering()
-    fast = Swarm(slow.position, 100 * slow.velocity, slow.fps, "cm", slow.walls, slow.scales)
+    fast = ObservedSwarm(
+        slow.position, 100 * slow.velocity, slow.fps, "cm", slow.walls, slow.scales
+    )
     assert STATISTICS["speed"].of(fast)[-1] > 0.9
 
 
 def test_a_crowd_is_looked_at_in_some_frames(monkeypatch):
     swarm = wandering()
     monkeypatch.setattr(swarms, "MAX_PAIRS", 2 * 39 * 25 // 4)
-    few = Swarm(swarm.position, swarm.velocity, swarm.fps, "", None, swarm.scales).sparse
+    few = ObservedSwarm(swarm.position, swarm.velocity, swarm.fps, "", None, swarm.scales).sparse
     np.testing.assert_array_equal(few.position, swarm.position[:, ::5])
     assert few.fps == 2.0
