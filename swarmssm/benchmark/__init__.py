@@ -2,13 +2,7 @@
 
 from swarmssm.benchmark.measure_method import FLOOR, METHODS, Measured, measure
 from swarmssm.benchmark.models import MODELS
-from swarmssm.benchmark.results import (
-    Results,
-    collect,
-    leader_sentence,
-    short_rows,
-    shown_rows,
-)
+from swarmssm.benchmark.results import Results, collect
 from swarmssm.benchmark.running import Job, jobs_of, run_jobs
 from swarmssm.benchmark.task import Task, make_task
 from swarmssm.benchmark.writing import (
@@ -30,12 +24,9 @@ __all__ = [
     "check_outputs",
     "collect",
     "jobs_of",
-    "leader_sentence",
     "make_task",
     "markdown",
     "measure",
     "run_jobs",
-    "short_rows",
-    "shown_rows",
     "write_results",
 ]

@@ -20,7 +20,7 @@ from swarmssm.benchmark.running import Job
 from swarmssm.benchmark.task import Task
 from swarmssm.tracks import Array
 
-__all__ = ["Results", "collect", "leader_sentence", "short_rows", "shown_rows"]
+__all__ = ["Results", "collect"]
 
 #: Facts that are no numbers, or the same for each seed.
 PLAIN = ("title", "knows_true_form", "parameters")
@@ -28,7 +28,7 @@ PLAIN = ("title", "knows_true_form", "parameters")
 
 @dataclass(frozen=True)
 class Results:
-    """What came of a benchmark.
+    """Scores of all methods on one task.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Results:
     scores: xr.Dataset
     errors: xr.DataArray
 
-    def table(self) -> pd.DataFrame:
+    def summary(self) -> pd.DataFrame:
         """Return the rows as a table, indexed by ``method``."""
         return pd.DataFrame.from_dict(self.rows, orient="index").rename_axis("method")
 
@@ -65,6 +65,82 @@ class Results:
             for name, row in self.rows.items()
             if row["seeds"] and name != FLOOR and not row["knows_true_form"]
         ]
+
+    def shown_rows(self) -> list[dict[str, str]]:
+        """Return the table as people read it, column title to text."""
+        task = self.task
+        last = task.steps[-1]
+        crps = [k for k in task.steps if k > 1] or list(task.steps)
+        columns = {
+            "MSE (4.2)": "mse",
+            "MAE (4.3)": "mae",
+            **{f"{k} steps": f"roll_{k}" for k in task.steps if k > 1},
+            "AMD error": "amd_error",
+            "AVD error": "avd_error",
+            "AMD error, drawn": "amd_error_drawn",
+            "AVD error, drawn": "avd_error_drawn",
+            **{f"CRPS {k}": f"crps_{k}" for k in crps},
+            f"log score {last}": f"log_score_{last}",
+            f"inside 90 %, {last}": f"coverage_{last}",
+            "edge AUC": "edge_auc",
+            "training, CPU s": "train_s",
+            "forecast, CPU s": "predict_s",
+            "parameters": "parameters",
+            "memory, MB": "memory_mb",
+        }
+        said = {name for row in self.rows.values() for name in row}
+        shown = []
+        for method, row in self.rows.items():
+            oracle = " (oracle)" if row.get("knows_true_form") and method != FLOOR else ""
+            cells = {"method": f"{method}{oracle}"}
+            cells |= {title: _cell(row, name) for title, name in columns.items() if name in said}
+            cells["note"] = row["failed"]
+            if row.get("unscored", 0.0) > 0.0:
+                share = format_number(100.0 * row["unscored"], 2)
+                cells["note"] = f"{share} % not forecast. {cells['note']}".strip()
+            shown.append(cells)
+        if not any(cells["note"] for cells in shown):
+            for cells in shown:
+                del cells["note"]
+        return shown
+
+    def short_rows(self) -> list[dict[str, str]]:
+        """Return those columns that fit on a terminal."""
+        last = self.task.steps[-1]
+        errors = ["MSE (4.2)", "MAE (4.3)", f"{last} steps", "AMD error", "AVD error"]
+        others = [f"CRPS {last}", f"log score {last}", "edge AUC", "training, CPU s", "parameters"]
+        kept = ["method", *errors, *others]
+        return [{t: row[t] for t in kept if t in row} for row in self.shown_rows()]
+
+    def verdict(self) -> str:
+        """Compare the best of this package's models with the best baseline, with intervals.
+
+        Oracles are left aside. The best of each side is the one with the lowest CRPS at that
+        horizon; the interval is that of the moving-block bootstrap over origins.
+        """
+        rows, scores, fair = self.rows, self.scores, self.fair()
+        ours = [name for name in fair if name in MODELS]
+        others = [name for name in fair if name not in MODELS]
+        if not ours or not others:
+            return ""
+        parts = []
+        for k in self.task.steps:
+            if k == 1 and len(self.task.steps) > 1:
+                continue
+            best, other = self.best(ours, f"crps_{k}"), self.best(others, f"crps_{k}")
+            found = paired_difference(scores, "crps", best, other).sel(horizon=k)
+            apart = 100.0 * found["difference"].to_numpy() / rows[other][f"crps_{k}"]
+            low, middle, high = apart.tolist()
+            if np.isnan(low):
+                said = f"{best} {_apart(middle)} {other} (too few origins for an interval)"
+            else:
+                word = "leads" if low > 0.0 else "trails" if high < 0.0 else "ties with"
+                said = f"{best} {word} {other} ({middle:+.0f} %, from {low:+.0f} to {high:+.0f} %)"
+            parts.append(f"at {k} steps {said}")
+        return (
+            f"CRPS of the best of this package's models and of the best baseline: "
+            f"{joined(parts)}; positive is better for this package, with 90 % intervals."
+        )
 
 
 def collect(task: Task, parts: Mapping[Job, CachedResult]) -> Results:
@@ -175,54 +251,6 @@ def _errors(arrays: Mapping[str, Sequence[Measured]], names: list[str]) -> xr.Da
     )
 
 
-def shown_rows(results: Results) -> list[dict[str, str]]:
-    """Return the table as people read it, column title to text."""
-    task = results.task
-    last = task.steps[-1]
-    crps = [k for k in task.steps if k > 1] or list(task.steps)
-    columns = {
-        "MSE (4.2)": "mse",
-        "MAE (4.3)": "mae",
-        **{f"{k} steps": f"roll_{k}" for k in task.steps if k > 1},
-        "AMD error": "amd_error",
-        "AVD error": "avd_error",
-        "AMD error, drawn": "amd_error_drawn",
-        "AVD error, drawn": "avd_error_drawn",
-        **{f"CRPS {k}": f"crps_{k}" for k in crps},
-        f"log score {last}": f"log_score_{last}",
-        f"inside 90 %, {last}": f"coverage_{last}",
-        "edge AUC": "edge_auc",
-        "training, CPU s": "train_s",
-        "forecast, CPU s": "predict_s",
-        "parameters": "parameters",
-        "memory, MB": "memory_mb",
-    }
-    said = {name for row in results.rows.values() for name in row}
-    shown = []
-    for method, row in results.rows.items():
-        oracle = " (oracle)" if row.get("knows_true_form") and method != FLOOR else ""
-        cells = {"method": f"{method}{oracle}"}
-        cells |= {title: _cell(row, name) for title, name in columns.items() if name in said}
-        cells["note"] = row["failed"]
-        if row.get("unscored", 0.0) > 0.0:
-            share = format_number(100.0 * row["unscored"], 2)
-            cells["note"] = f"{share} % not forecast. {cells['note']}".strip()
-        shown.append(cells)
-    if not any(cells["note"] for cells in shown):
-        for cells in shown:
-            del cells["note"]
-    return shown
-
-
-def short_rows(results: Results) -> list[dict[str, str]]:
-    """Return those columns that fit on a terminal."""
-    last = results.task.steps[-1]
-    errors = ["MSE (4.2)", "MAE (4.3)", f"{last} steps", "AMD error", "AVD error"]
-    others = [f"CRPS {last}", f"log score {last}", "edge AUC", "training, CPU s", "parameters"]
-    kept = ["method", *errors, *others]
-    return [{t: row[t] for t in kept if t in row} for row in shown_rows(results)]
-
-
 def _cell(row: Mapping[str, Any], name: str) -> str:
     """Return a number, with its spread over seeds where there is one."""
     value = row.get(name)
@@ -233,37 +261,6 @@ def _cell(row: Mapping[str, Any], name: str) -> str:
     text = format_number(float(value))
     spread = row.get(f"{name}_sd", math.nan)
     return f"{text} ± {format_number(spread, 2)}" if math.isfinite(spread) else text
-
-
-def leader_sentence(results: Results) -> str:
-    """Say how the best of this package's models stands beside the best rival, and how surely.
-
-    Oracles are left aside. The best of each side is the one with the
-    lowest CRPS at that horizon; the interval is that of the moving-block bootstrap over origins.
-    """
-    rows, scores, fair = results.rows, results.scores, results.fair()
-    ours = [name for name in fair if name in MODELS]
-    rivals = [name for name in fair if name not in MODELS]
-    if not ours or not rivals:
-        return ""
-    parts = []
-    for k in results.task.steps:
-        if k == 1 and len(results.task.steps) > 1:
-            continue
-        best, other = results.best(ours, f"crps_{k}"), results.best(rivals, f"crps_{k}")
-        found = paired_difference(scores, "crps", best, other).sel(horizon=k)
-        apart = 100.0 * found["difference"].to_numpy() / rows[other][f"crps_{k}"]
-        low, middle, high = apart.tolist()
-        if np.isnan(low):
-            verdict = f"{best} {_apart(middle)} {other} (too few origins for an interval)"
-        else:
-            word = "leads" if low > 0.0 else "trails" if high < 0.0 else "ties with"
-            verdict = f"{best} {word} {other} ({middle:+.0f} %, from {low:+.0f} to {high:+.0f} %)"
-        parts.append(f"at {k} steps {verdict}")
-    return (
-        f"CRPS of the best of this package's models beside that of the best rival: "
-        f"{joined(parts)}; positive is better for this package, with 90 % intervals."
-    )
 
 
 def _apart(percent: float) -> str:

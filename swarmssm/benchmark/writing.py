@@ -7,7 +7,7 @@ from swarmssm.analysis.report.embed import as_svg, report_style
 from swarmssm.analysis.report.page import render
 from swarmssm.benchmark.measure_method import FLOOR
 from swarmssm.benchmark.models import MODELS
-from swarmssm.benchmark.results import Results, leader_sentence, shown_rows
+from swarmssm.benchmark.results import Results
 from swarmssm.benchmark.thesis_tables import FOOTNOTE, thesis_table
 from swarmssm.files import check_output, write_beside
 
@@ -50,7 +50,7 @@ def write_results(results: Results, path: Path) -> list[Path]:
     """
     paths = [path.with_suffix(ending) for ending in ENDINGS]
     with write_beside(paths[0], overwrite=True) as temporary:
-        results.table().to_csv(temporary)
+        results.summary().to_csv(temporary)
     with write_beside(paths[1], overwrite=True) as temporary:
         temporary.write_text(markdown(results), encoding="utf-8")
     with write_beside(paths[2], overwrite=True) as temporary:
@@ -65,7 +65,7 @@ def write_results(results: Results, path: Path) -> list[Path]:
 def markdown(results: Results) -> str:
     """Return the table for a text file."""
     lines = [f"# {results.task.title}", "", *_sentences(results), ""]
-    lines += [*_rows(shown_rows(results)), "", *(f"- {text}" for text in COLUMNS), ""]
+    lines += [*_rows(results.shown_rows()), "", *(f"- {text}" for text in COLUMNS), ""]
     caption, rows = thesis_table(results)
     if rows:
         lines += [f"{caption}.", "", *_rows(rows), "", FOOTNOTE, ""]
@@ -96,7 +96,7 @@ def benchmark_page(results: Results) -> str:
         title=f"Benchmark: {results.task.title}",
         sentences=_sentences(results),
         picture=picture,
-        rows=shown_rows(results),
+        rows=results.shown_rows(),
         columns=COLUMNS,
     )
 
@@ -124,7 +124,7 @@ def _sentences(results: Results) -> list[str]:
     ]
     if rows.get(FLOOR, {}).get("seeds") and results.fair():
         sentences.append(_floor_sentence(results))
-    leads = leader_sentence(results)
+    leads = results.verdict()
     return [*sentences, leads] if leads else sentences
 
 

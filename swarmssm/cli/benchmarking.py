@@ -91,7 +91,6 @@ def benchmark(
         jobs_of,
         make_task,
         run_jobs,
-        short_rows,
         write_results,
     )
     from swarmssm.datasets import DATASETS
@@ -140,7 +139,9 @@ def benchmark(
     if format is TableFormat.json:
         print_json([{"method": name, **row} for name, row in results.rows.items()])
     else:
-        print_rows(title, short_rows(results))
+        if verdict := results.verdict():
+            say(verdict)
+        print_rows(title, results.short_rows())
         for name, row in results.rows.items():
             if row["failed"]:
                 say(f"{name}: {row['failed']}")

@@ -12,7 +12,6 @@ from swarmssm.benchmark import (
     collect,
     make_task,
     markdown,
-    shown_rows,
     write_results,
 )
 from swarmssm.benchmark.measurements import CachedResult
@@ -66,18 +65,18 @@ def test_seeds_become_a_mean_and_a_spread(results):
 def test_the_floor_is_on_top_and_who_failed_at_the_bottom(results):
     names = list(results.rows)
     assert names == ["noise-floor", "boids", "kernel", "lstm", "stay-put", "graph-vae", "sindy-pi"]
-    assert list(results.table().index) == names
-    assert results.table().loc["sindy-pi", "failed"] == "It | failed."
+    assert list(results.summary().index) == names
+    assert results.summary().loc["sindy-pi", "failed"] == "It | failed."
 
 
 def test_people_read_the_same(results):
-    rows = {row["method"]: row for row in shown_rows(results)}
+    rows = {row["method"]: row for row in results.shown_rows()}
     assert rows["boids (oracle)"]["MSE (4.2)"] == "0.500"
     assert rows["lstm"]["MSE (4.2)"] == "2.00 ± 1.4"
     assert rows["lstm"]["training, CPU s"] == "2.00 ± 0"
     assert rows["sindy-pi"]["note"] == "It | failed."
     assert rows["sindy-pi"]["MSE (4.2)"] == "–"
-    assert len({tuple(row) for row in shown_rows(results)}) == 1
+    assert len({tuple(row) for row in results.shown_rows()}) == 1
 
 
 def test_oracles_do_not_lead(results):
