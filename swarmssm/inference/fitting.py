@@ -290,16 +290,11 @@ def _sum_out(
     settings = run.settings
     size = batch_size(settings, len(data.train))
 
+    # Laplace's method takes all windows in each step: a pass over them is one.
     by_laplace = run.guide.globals == "laplace"
-    if by_laplace and settings.epochs is not None:
-        raise InputError(
-            "epochs: the linearized guide takes all windows in each step and has none; give steps, "
-            "or the guide option globals=normal."
-        )
-
     steps = settings.steps
     if settings.epochs is not None:
-        steps = num_steps(settings, run.model, len(data.train))
+        steps = settings.epochs if by_laplace else num_steps(settings, run.model, len(data.train))
     elif not by_laplace:
         steps = steps or run.model.default_epochs
 
