@@ -27,7 +27,7 @@ from swarmssm.inference.run_folder import Run, load_run, save_run
 from swarmssm.inference.starting import last_frames, most_complete_frames
 from swarmssm.inference.summary import describe, page, posterior_table
 from swarmssm.models import InferredEdges, OneStepModel, StateSpaceModel
-from swarmssm.models.parts import own_parameters
+from swarmssm.models.pyro_modules import own_parameters
 from swarmssm.tracks import MAX_COORDINATE, Array, make_tracks, spatial_attributes
 from swarmssm.tracks.splits import take
 

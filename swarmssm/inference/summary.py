@@ -13,6 +13,7 @@ import xarray as xr
 from torch.distributions import biject_to
 
 from swarmssm.models.priors import parameters_of
+from swarmssm.models.pyro_modules import priors_in
 from swarmssm.models.units import units_of
 
 if TYPE_CHECKING:
@@ -60,7 +61,7 @@ def posterior_table(
             rows[label] = (np.nan, np.nan, np.nan, np.nan, units.get(name, ""), told)
             continue
         module, attribute = known[name]
-        notes = _notes(vars(module).get("_pyro_samples", {}).get(attribute), values)
+        notes = _notes(priors_in(module).get(attribute), values)
         for place in np.ndindex(values.shape[1:]):
             column = values[(slice(None), *place)]
             index = f"[{', '.join(map(str, place))}]" if place else ""

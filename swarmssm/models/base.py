@@ -7,6 +7,7 @@ import torch
 from pyro.nn import PyroModule
 
 from swarmssm.models.batch import SwarmBatch
+from swarmssm.models.pyro_modules import keep_own_parameters
 
 __all__ = ["NextStep", "OneStepModel", "SwarmModel"]
 
@@ -26,10 +27,7 @@ class SwarmModel(PyroModule):  # type: ignore[misc]
     def __init__(self, state_dim: int) -> None:
         super().__init__()
         self.state_dim = state_dim
-        # Parameters may live in the modules, as in `fit`, or in Pyro's store: a module that was
-        # built under the one setting must not fail under the other.
-        if not hasattr(self._pyro_context, "param_state"):
-            self._pyro_context.param_state = {"params": {}, "constraints": {}}
+        keep_own_parameters(self)
 
     @property
     def observes(self) -> str:

@@ -14,12 +14,12 @@ from torch.distributions import constraints
 
 from swarmssm.errors import InputError
 from swarmssm.models.prior_text import parse_distribution
+from swarmssm.models.pyro_modules import call_context, constrained_in, priors_in
 from swarmssm.models.supports import covers, describe
 
 __all__ = [
     "Declaration",
     "Value",
-    "adopt",
     "assign",
     "convert_priors",
     "declaration",
@@ -95,7 +95,7 @@ def assign(
     if shapes is not None:
         own = own._replace(shapes=tuple(tuple(shape) for shape in shapes))
     ready = _checked(name, value, own)
-    if name in module._pyro_samples or name in module._pyro_params:
+    if name in priors_in(module) or name in constrained_in(module):
         delattr(module, name)
     for table in (module._parameters, module._buffers):
         table.pop(name, None)
@@ -228,22 +228,8 @@ def priors_of(model: PyroModule) -> list[str]:
     """Return the full names of all parameters with a prior, in the order they are sampled in."""
     names = []
     for place, module in model.named_modules():
-        if isinstance(module, PyroModule):
-            own = getattr(module, "_pyro_samples", {})
-            names += [f"{place}.{name}" if place else name for name in own]
+        names += [f"{place}.{name}" if place else name for name in priors_in(module)]
     return names
-
-
-def adopt(model: PyroModule) -> None:
-    """Let all parts of a model know their full names and sample within its calls.
-
-    Pyro does so for parts that are attributes of parts. One in a :class:`torch.nn.ModuleList` or
-    inside another plain module would otherwise draw anew at each reading, unknown to any guide.
-    """
-    for place, module in model.named_modules():
-        if isinstance(module, PyroModule):
-            module._pyro_name = place
-            module._pyro_context = model._pyro_context
 
 
 def convert_priors(model: nn.Module, change: Callable[[torch.Tensor], torch.Tensor]) -> None:
@@ -257,7 +243,7 @@ def convert_priors(model: nn.Module, change: Callable[[torch.Tensor], torch.Tens
         From tensor to tensor.
     """
     for module in model.modules():
-        priors = vars(module).get("_pyro_samples", {})
+        priors = priors_in(module)
         for name, prior in priors.items():
             if isinstance(prior, dist.Distribution):
                 priors[name] = _converted(prior, change)
@@ -297,7 +283,7 @@ def fixed(model: PyroModule, values: Mapping[str, torch.Tensor]) -> Iterator[Non
     values
         Full name -> value, such as ``{"transition.cohesion_gain": ...}``.
     """
-    context = model._pyro_context
+    context = call_context(model)
     with context:
         before = dict(context.cache)
         context.cache.update(values)

@@ -1,7 +1,6 @@
 """Priors on any parameter of a model that stands already, by name."""
 
 import json
-from collections import OrderedDict
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -14,13 +13,19 @@ from torch.distributions import constraints
 from swarmssm.errors import InputError
 from swarmssm.models.parameters import (
     Declaration,
-    adopt,
     assign,
     check_fixed,
     check_prior,
     declaration,
 )
 from swarmssm.models.prior_text import EXAMPLE, PRIORS, distribution_text, parse_distribution
+from swarmssm.models.pyro_modules import (
+    adopt,
+    call_context,
+    constrained_in,
+    make_pyro_module,
+    priors_in,
+)
 from swarmssm.models.simulation import seeded
 from swarmssm.models.supports import usual_constraint
 
@@ -51,7 +56,7 @@ def parameters_of(model: nn.Module) -> dict[str, Parameter]:
     found: dict[str, Parameter] = {}
     for place, module in model.named_modules():
         own = [*vars(module).get("_declarations", {})]
-        own += [*vars(module).get("_pyro_samples", {}), *vars(module).get("_pyro_params", {})]
+        own += [*priors_in(module), *constrained_in(module)]
         own += [
             name
             for name, value in module._parameters.items()
@@ -68,7 +73,7 @@ def prior_texts(model: nn.Module) -> dict[str, str]:
     One that is a function of other parameters is :data:`DEPENDENT`.
     """
     samples = {
-        full: vars(module).get("_pyro_samples", {}).get(attribute)
+        full: priors_in(module).get(attribute)
         for full, (module, attribute) in parameters_of(model).items()
     }
     return {
@@ -155,13 +160,7 @@ def _join_pyro(model: PyroModule, full: str) -> None:
         # plain one when that itself is read, which a container does not do.
         for part in list(place.modules()):
             if not isinstance(part, PyroModule):
-                part.__class__ = PyroModule[type(part)]
-                vars(part).update(
-                    _pyro_name="",
-                    _pyro_context=model._pyro_context,
-                    _pyro_params=OrderedDict(),
-                    _pyro_samples=OrderedDict(),
-                )
+                make_pyro_module(part, model)
 
 
 def _full_name(name: str, known: Mapping[str, Parameter]) -> str:
@@ -226,17 +225,17 @@ def _fitted(
 
 def _present(module: Any, attribute: str, model: PyroModule) -> tuple[torch.Size, Any]:
     """Return the shape that a parameter has now, and what values it may have."""
-    if attribute in vars(module).get("_pyro_samples", {}):
-        prior = module._pyro_samples[attribute]
+    if attribute in priors_in(module):
+        prior = priors_in(module)[attribute]
         if not isinstance(prior, dist.Distribution):
-            with seeded(0), model._pyro_context:
+            with seeded(0), call_context(model):
                 prior = prior(module)
                 if isinstance(prior, torch.Tensor):
                     return prior.shape, constraints.real
         return prior.batch_shape + prior.event_shape, usual_constraint(prior.support)
-    if attribute in vars(module).get("_pyro_params", {}):
+    if attribute in constrained_in(module):
         value = getattr(module, f"{attribute}_unconstrained")
-        constraint = module._pyro_params[attribute][0]
+        constraint = constrained_in(module)[attribute][0]
         return torch.distributions.transform_to(constraint)(value).shape, constraint
     value = module._parameters.get(attribute)
     value = module._buffers[attribute] if value is None else value

@@ -27,7 +27,8 @@ from swarmssm.models.edges import (
 from swarmssm.models.emissions import Emission, ExactEmission
 from swarmssm.models.layers import check_sizes
 from swarmssm.models.markov import MarkovChain, StepInputs
-from swarmssm.models.parameters import adopt, convert_priors, fixed, priors_of
+from swarmssm.models.parameters import convert_priors, fixed, priors_of
+from swarmssm.models.pyro_modules import adopt, call_context, priors_in
 from swarmssm.models.simulation import (
     Simulation,
     fitting,
@@ -150,10 +151,10 @@ class StateSpaceModel(SwarmModel):
             place, _, attribute = name.rpartition(".")
             module = self.get_submodule(place)
             value = getattr(module, attribute)
-            prior = module._pyro_samples[attribute]
+            prior = priors_in(module)[attribute]
             if isinstance(prior, dist.Distribution) and value.shape != prior.event_shape:
                 value = _without_plates(name, value, prior.event_shape)
-                self._pyro_context.set(name, value)
+                call_context(self).set(name, value)
             values[name] = value
         return values
 
@@ -440,7 +441,7 @@ class StateSpaceModel(SwarmModel):
         ready = {}
         for name, value in values.items():
             place, _, attribute = name.rpartition(".")
-            prior = self.get_submodule(place)._pyro_samples[attribute]
+            prior = priors_in(self.get_submodule(place))[attribute]
             tensor = torch.as_tensor(value)
             if not tensor.is_floating_point():
                 tensor = tensor.to(torch.get_default_dtype())

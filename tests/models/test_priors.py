@@ -13,6 +13,7 @@ from torch.distributions import constraints
 from swarmssm.errors import InputError
 from swarmssm.inference.settings import FitSettings, settings_from
 from swarmssm.models import (
+    ExactEmission,
     InitialStates,
     KinematicTransition,
     PositionEmission,
@@ -310,7 +311,7 @@ def test_a_gain_of_all_may_become_one_of_each():
 def test_weights_with_a_prior_are_learned_by_an_automatic_guide():
     def random():
         model = build()
-        model.emission = None
+        model.emission = ExactEmission()
         return with_priors(model, {"network.0.weight": "Normal(0, 0.3)"})
 
     batch = random().simulate(6, 3, num_windows=2).batch()

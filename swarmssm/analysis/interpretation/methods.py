@@ -6,8 +6,7 @@ from swarmssm.analysis.interpretation.result import Analysis
 from swarmssm.analysis.posterior.joining import joined
 from swarmssm.analysis.scoring.table import format_number, format_unit
 from swarmssm.inference import Fit
-from swarmssm.models.prior_text import distribution_text
-from swarmssm.models.priors import parameters_of
+from swarmssm.models.priors import prior_texts
 from swarmssm.tracks.summary import summarize
 
 __all__ = ["methods_text"]
@@ -66,15 +65,7 @@ def _model(fit: Fit) -> str:
 
 def _priors(fit: Fit) -> list[tuple[str, str]]:
     """Return the name and the text of each prior."""
-    found = []
-    for full, (module, attribute) in parameters_of(fit.model).items():
-        sample = vars(module).get("_pyro_samples", {}).get(attribute)
-        if sample is None:
-            continue
-        prior = getattr(sample, "prior", sample)
-        text = distribution_text(prior) if hasattr(prior, "log_prob") else "given other parameters"
-        found.append((full.rpartition(".")[2], text))
-    return found
+    return [(full.rpartition(".")[2], text) for full, text in prior_texts(fit.model).items()]
 
 
 def _inference(fit: Fit) -> str:

@@ -20,7 +20,7 @@ from swarmssm.inference import Fit
 from swarmssm.inference.guides import OneStepGuide, PathGuide
 from swarmssm.inference.prediction import seeded
 from swarmssm.models import OneStepModel, StateSpaceModel, StepInputs
-from swarmssm.models.parts import own_parameters
+from swarmssm.models.pyro_modules import own_parameters
 from swarmssm.models.transitions import NamedForces
 from swarmssm.tracks.scaling import Scaler
 

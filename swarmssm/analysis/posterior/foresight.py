@@ -26,7 +26,7 @@ from swarmssm.inference.prediction import seeded
 from swarmssm.metrics.log_score import mixture_log_score
 from swarmssm.models import OneStepModel, StateSpaceModel
 from swarmssm.models.parameters import priors_of
-from swarmssm.models.parts import own_parameters
+from swarmssm.models.pyro_modules import own_parameters
 from swarmssm.tracks import Array
 
 __all__ = ["LATENTS", "OneStepPredictive", "has_parameter_draws", "predict_one_step"]

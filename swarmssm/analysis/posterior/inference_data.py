@@ -20,7 +20,7 @@ from swarmssm.inference.data import Prepared
 from swarmssm.inference.prediction import seeded
 from swarmssm.models import StateSpaceModel
 from swarmssm.models.parameters import priors_of
-from swarmssm.models.parts import own_parameters
+from swarmssm.models.pyro_modules import own_parameters
 from swarmssm.tracks import MAX_COORDINATE, Array
 
 __all__ = ["to_inference_data"]

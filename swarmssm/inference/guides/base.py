@@ -10,7 +10,7 @@ import torch
 from swarmssm.inference.guides.edges import EdgeGuide
 from swarmssm.inference.guides.parameters import GlobalGuide
 from swarmssm.models import InferredEdges, StateSpaceModel, SwarmBatch, SwarmModel
-from swarmssm.models.parts import LocalPyroModule
+from swarmssm.models.pyro_modules import LocalPyroModule, keep_own_parameters
 
 __all__ = ["OneStepGuide", "ParameterGuide", "PathGuide", "SwarmGuide"]
 
@@ -31,8 +31,7 @@ class SwarmGuide(LocalPyroModule):
 
     def __init__(self) -> None:
         super().__init__()
-        if not hasattr(self._pyro_context, "param_state"):
-            self._pyro_context.param_state = {"params": {}, "constraints": {}}
+        keep_own_parameters(self)
 
     @classmethod
     def for_model(cls, model: SwarmModel, **options: Any) -> Self:

@@ -6,7 +6,7 @@ import torch
 from swarmssm.models import InferredEdges, SwarmBatch
 from swarmssm.models.edges import EdgeState, EdgeTypes
 from swarmssm.models.edges.types import PosteriorEdgeTypes
-from swarmssm.models.parts import LocalPyroModule
+from swarmssm.models.pyro_modules import LocalPyroModule
 
 __all__ = ["EdgeGuide"]
 

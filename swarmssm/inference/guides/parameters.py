@@ -10,7 +10,7 @@ from pyro.nn import PyroModule
 
 from swarmssm.models import StateSpaceModel
 from swarmssm.models.parameters import priors_of
-from swarmssm.models.parts import own_parameters
+from swarmssm.models.pyro_modules import own_parameters
 
 __all__ = ["PARAMETER_GUIDES", "GlobalGuide"]
 

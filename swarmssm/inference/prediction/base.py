@@ -11,7 +11,7 @@ import torch
 
 from swarmssm.inference.data import Prepared
 from swarmssm.models.edges import EdgeState
-from swarmssm.models.parts import own_parameters
+from swarmssm.models.pyro_modules import own_parameters
 
 __all__ = ["InitialCondition", "PredictiveMixture", "Predictor", "Trajectory", "owning", "seeded"]
 

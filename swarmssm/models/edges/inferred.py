@@ -17,7 +17,7 @@ from swarmssm.models.edges.seen import Seen, seen_states
 from swarmssm.models.edges.types import EdgeTypes, Gradient
 from swarmssm.models.layers import check_sizes
 from swarmssm.models.markov import Step, StepInputs
-from swarmssm.models.parts import LocalPyroModule
+from swarmssm.models.pyro_modules import LocalPyroModule
 from swarmssm.models.relational import pairs_of
 from swarmssm.models.scales import Scales
 

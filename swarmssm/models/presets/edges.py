@@ -13,8 +13,8 @@ from swarmssm.models.edges import (
     ObservedEdges,
     RelationalEdges,
 )
-from swarmssm.models.parameters import adopt
 from swarmssm.models.presets.self_terms import check_choice
+from swarmssm.models.pyro_modules import adopt
 from swarmssm.models.scales import Scales
 from swarmssm.models.state_space import StateSpaceModel
 from swarmssm.models.transitions.typed import typed

@@ -14,7 +14,7 @@ from swarmssm.models.distributions.kinematic import Kinematic
 from swarmssm.models.distributions.moments import covariance_of, location_of
 from swarmssm.models.layers import check_sizes
 from swarmssm.models.markov import StepInputs
-from swarmssm.models.parts import LocalPyroModule
+from swarmssm.models.pyro_modules import LocalPyroModule, priors_in
 from swarmssm.models.transitions.protocols import Form
 
 __all__ = ["KinematicTransition", "Linearization", "Transition"]
@@ -116,7 +116,7 @@ class Transition(LocalPyroModule):
     def drop_self_terms(self) -> None:
         """Give up the parameters that :meth:`pairwise` does without, and their priors."""
         for name in self.self_parameter_names:
-            if name in self._pyro_samples or hasattr(self, name):
+            if name in priors_in(self) or hasattr(self, name):
                 delattr(self, name)
 
     def augmented(self, batch: SwarmBatch) -> SwarmBatch:

@@ -9,6 +9,7 @@ from torch import Tensor
 from swarmssm import forces
 from swarmssm.graphs import Graph
 from swarmssm.models.distributions.speed_limits import TOLERANCE
+from swarmssm.models.pyro_modules import priors_in
 from swarmssm.models.transitions.boids_pairs import BoidsPairs
 from swarmssm.models.transitions.force import ForceTransition, Noise, PairDerivative
 from swarmssm.models.transitions.perception import perceive, sight
@@ -141,7 +142,7 @@ class BoidsTransition(ForceTransition):
             "radius": (1, 0),
             "radius_width": (1, 0),
         }
-        if "exponent" not in self._pyro_samples:
+        if "exponent" not in priors_in(self):
             own["separation_gain"] = (1 + float(self.exponent.mean()), -1 - time)
         return super().dimensions | own
 

@@ -14,6 +14,7 @@ from swarmssm.errors import InputError
 from swarmssm.graphs import Graph, dense
 from swarmssm.models.distributions.speed_limits import TOLERANCE, SpeedLimited, limited_moments
 from swarmssm.models.markov import StepInputs
+from swarmssm.models.pyro_modules import priors_in
 from swarmssm.models.transitions.base import KinematicTransition, Linearization
 from swarmssm.models.transitions.hierarchy import assign_hierarchical
 from swarmssm.models.transitions.perception import without_absent
@@ -416,7 +417,7 @@ class ForceTransition(KinematicTransition):
     def _by_axis(self, name: str) -> Tensor:
         """Return a parameter of the box, which broadcasts against ``(..., space)``."""
         value: Tensor = getattr(self, name)
-        prior = self._pyro_samples.get(name)
+        prior = priors_in(self).get(name)
         dims = len(prior.event_shape) if isinstance(prior, dist.Distribution) else value.dim()
         return value if dims == 1 else value.unsqueeze(-1)
 

@@ -12,7 +12,7 @@ from swarmssm.analysis.posterior.log_likelihood import Window, windows_over
 from swarmssm.errors import InputError
 from swarmssm.inference import fit
 from swarmssm.inference.filtering import collapsed_evidence
-from swarmssm.models.parts import own_parameters
+from swarmssm.models.pyro_modules import own_parameters
 from swarmssm.tracks import make_tracks
 from swarmssm.tracks.splits import Segment
 

@@ -16,6 +16,7 @@ from swarmssm.errors import InputError, WorkError
 from swarmssm.inference.guides.registry import default_guide
 from swarmssm.models import ObservedEdges, Scales, StateSpaceModel, find_model, with_priors
 from swarmssm.models.parameters import priors_of
+from swarmssm.models.pyro_modules import priors_in
 from swarmssm.tracks import MAX_COORDINATE, Array
 
 __all__ = ["FixedModel", "SimulatedData", "standard_scales"]
@@ -206,7 +207,7 @@ def _narrow(model: StateSpaceModel, spread: float | None) -> None:
     for name in priors_of(model):
         place, _, attribute = name.rpartition(".")
         module: Any = model.get_submodule(place)
-        prior = module._pyro_samples[attribute]
+        prior = priors_in(module)[attribute]
         base = getattr(prior, "base_dist", prior) if isinstance(prior, dist.Independent) else prior
         if isinstance(base, dist.LogNormal):
             narrow = dist.LogNormal(base.loc, base.scale.clamp(max=spread))

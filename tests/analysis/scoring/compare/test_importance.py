@@ -9,7 +9,7 @@ from scipy.stats import norm
 from swarmssm.analysis.posterior import window_log_likelihood
 from swarmssm.analysis.scoring.importance import good_k, psis_lfo, psis_loo
 from swarmssm.inference.filtering import collapsed_evidence
-from swarmssm.models.parts import own_parameters
+from swarmssm.models.pyro_modules import own_parameters
 
 COUNT, DRAWS = 20, 4000
 
