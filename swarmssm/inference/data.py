@@ -1,6 +1,8 @@
 """From tracks to the tensors that models and guides work on, and back to labels."""
 
+import weakref
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,6 +14,7 @@ from swarmssm.models import SwarmBatch
 from swarmssm.tracks import Array, states_of, validate_tracks, with_trials
 from swarmssm.tracks.kinematics import add_velocity
 from swarmssm.tracks.scaling import Scaler, fit_scaler
+from swarmssm.tracks.validation import checked_digest
 
 __all__ = [
     "Preparation",
@@ -21,6 +24,10 @@ __all__ = [
     "prepare",
     "windows_of",
 ]
+
+
+#: What was prepared: tracks by their identity, what they held then, and the results.
+_PREPARED: dict[int, tuple[weakref.ref[xr.Dataset], Any, "dict[Preparation, Prepared]"]] = {}
 
 
 @dataclass(frozen=True)
@@ -138,13 +145,29 @@ def prepare(tracks: xr.Dataset, preparation: Preparation) -> Prepared:
     An individual counts as observed in a frame where its position and its velocity are known:
     with differences, not in the first frame after a gap.
 
+    The same tracks are prepared once for all fits with an equal preparation, as long as they live
+    and are not changed: nothing of the result may be written to.
+
     Raises
     ------
     InputError
         If the tracks are none, have another number of dimensions than those the model was fitted
         on, or no graph where only tracks can know it.
     """
-    tracks = validate_tracks(tracks)
+    checked = validate_tracks(tracks)
+    state = (checked_digest(checked), repr(tracks.attrs), tuple(tracks.variables))
+    key = id(tracks)
+    known, before, done = _PREPARED.get(key, (None, None, {}))
+    if known is None or known() is not tracks or before != state:
+        done = {}
+        _PREPARED[key] = (weakref.ref(tracks, lambda _: _PREPARED.pop(key, None)), state, done)
+    if preparation not in done:
+        done[preparation] = _prepared(checked, preparation)
+    return done[preparation]
+
+
+def _prepared(tracks: xr.Dataset, preparation: Preparation) -> Prepared:
+    """Prepare tracks that were checked."""
     num_features = 2 * tracks.sizes["space"]
     expected = len(preparation.scaler.offset)
     if num_features != expected:
@@ -176,7 +199,8 @@ def prepare(tracks: xr.Dataset, preparation: Preparation) -> Prepared:
     )
     adjacency &= mask.unsqueeze(-1) & mask.unsqueeze(-2)
     return Prepared(
-        tracks,
+        # Not the very dataset that was given, which what is remembered would keep alive.
+        tracks.copy(deep=False),
         states,
         torch.from_numpy(known),
         torch.from_numpy(observed).to(torch.float32),

@@ -86,7 +86,7 @@ class Fit(Run):
             yield
 
     def prepare(self, tracks: xr.Dataset) -> Prepared:
-        """Return tracks as the model sees them."""
+        """Return tracks as the model sees them; see :func:`swarmssm.inference.data.prepare`."""
         return prepare(tracks, self.preparation)
 
     def posterior(

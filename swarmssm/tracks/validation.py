@@ -12,7 +12,7 @@ import xarray as xr
 from swarmssm.errors import InputError
 from swarmssm.tracks.time_grid import ROUNDING, check_fps, check_increasing, grid_rows, rate_of
 
-__all__ = ["MAX_COORDINATE", "SPACE_NAMES", "text_of", "validate_tracks"]
+__all__ = ["MAX_COORDINATE", "SPACE_NAMES", "checked_digest", "text_of", "validate_tracks"]
 
 SPACE_NAMES = ("x", "y", "z")
 MAX_COORDINATE = 1e12
@@ -70,6 +70,11 @@ def _remember(dataset: xr.Dataset, digest: bytes) -> None:
     """Note that a dataset was checked, as long as it lives."""
     key = id(dataset)
     _VALIDATED[key] = (weakref.ref(dataset, lambda _: _VALIDATED.pop(key, None)), digest)
+
+
+def checked_digest(dataset: xr.Dataset) -> bytes:
+    """Return the digest of what a dataset held when :func:`validate_tracks` returned it."""
+    return _VALIDATED[id(dataset)][1]
 
 
 def _digest(dataset: xr.Dataset) -> bytes:

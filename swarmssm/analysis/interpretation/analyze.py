@@ -16,7 +16,6 @@ from swarmssm.analysis.interpretation.forces.maps import force_maps
 from swarmssm.analysis.interpretation.forces.posterior import TERMS, force_summary, posterior_forces
 from swarmssm.analysis.interpretation.forces.truth import force_agreement, true_forces
 from swarmssm.analysis.interpretation.inferred_edges import inferred_edges
-from swarmssm.analysis.interpretation.inferred_graph import has_inferred_edges
 from swarmssm.analysis.interpretation.influence.delays import leadership_delays
 from swarmssm.analysis.interpretation.influence.leaders import find_isolated, find_leader
 from swarmssm.analysis.interpretation.influence.posterior import influence
@@ -26,6 +25,7 @@ from swarmssm.analysis.interpretation.latents.alignment import latent_force_alig
 from swarmssm.analysis.interpretation.result import ANALYSES, Analysis
 from swarmssm.analysis.posterior.accelerations import PosteriorPaths, posterior_paths
 from swarmssm.analysis.posterior.frames import default_part, same_tracks
+from swarmssm.analysis.posterior.inferred_graph import has_inferred_edges
 from swarmssm.analysis.scoring.rolling_origin import score
 from swarmssm.errors import InputError, SwarmssmError
 from swarmssm.inference import Fit

@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from swarmssm.analysis.diagnostics.sbc.parameter_names import short_name
 from swarmssm.analysis.plots.style import INDIVIDUALS, colour_of, legend_below, new_axes, new_grid
+from swarmssm.inference.parameter_labels import short_names
 
 __all__ = ["plot_calibration", "plot_coverage", "plot_ecdf_difference", "plot_rank_histograms"]
 
@@ -88,6 +88,7 @@ def plot_rank_histograms(
     width = 1.0 / len(places)
     low, high = (calibration[f"histogram_{end}"].to_numpy() for end in ("low", "high"))
     edges = np.append(places - 0.5 * width, 1.0)
+    short = short_names(names)
     for ax, name in zip(grid.flat, names, strict=False):
         one = calibration.sel(parameter=name)
         good = bool(one["passes"])
@@ -95,7 +96,7 @@ def plot_rank_histograms(
         ax.stairs(high, edges, baseline=low, fill=True, color=BAND, alpha=0.28, zorder=0)
         ax.plot(places, calibration["expected"], color=BAND, linewidth=1.0)
         mark = "" if good else " (outside)"
-        ax.set_title(short_name(name) + mark, fontsize=9, parse_math=False)
+        ax.set_title(short[name] + mark, fontsize=9, parse_math=False)
         ax.set_xlim(0.0, 1.0)
         ax.set_xlabel("rank of the truth (share of draws below)", fontsize=8)
         ax.set_ylabel("data sets", fontsize=8)
@@ -138,6 +139,7 @@ def plot_ecdf_difference(calibration: xr.Dataset, ax: Axes | None = None) -> tup
     names = [str(name) for name in calibration["parameter"].values]
     inside = calibration["passes"].to_numpy().astype(bool)
     many = len(names) > LINES
+    short = short_names(names)
     for index, name in enumerate(names):
         plain = many and inside[index]
         ax.plot(
@@ -146,7 +148,7 @@ def plot_ecdf_difference(calibration: xr.Dataset, ax: Axes | None = None) -> tup
             color=BAND if plain else INDIVIDUALS[index % len(INDIVIDUALS)],
             linewidth=1.0 if inside[index] else 2.2,
             linestyle="-" if index < len(INDIVIDUALS) or plain else "--",
-            label=None if plain else short_name(name) + ("" if inside[index] else " (outside)"),
+            label=None if plain else short[name] + ("" if inside[index] else " (outside)"),
         )
     ax.set_xlim(0.0, 1.0)
     ax.set_xlabel("rank of the truth (share of draws below)")
@@ -189,7 +191,7 @@ def plot_coverage(calibration: xr.Dataset, ax: Axes | None = None) -> tuple[Figu
             linewidth=1.2,
             label=f"{100 * level:.0f} % intervals",
         )
-    ax.set_yticks(rows, [short_name(name) for name in names], parse_math=False)
+    ax.set_yticks(rows, list(short_names(names).values()), parse_math=False)
     ax.set_ylim(len(names) - 0.5, -0.5)
     ax.set_xlim(right=1.005)
     ax.set_xlabel("share of intervals that hold the truth")

@@ -11,9 +11,9 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter
 
 from swarmssm.analysis.diagnostics.recovery.table import factor_curve, gains_of
-from swarmssm.analysis.diagnostics.sbc.parameter_names import short_name
 from swarmssm.analysis.plots.style import INDIVIDUALS, log_scale, new_grid
 from swarmssm.errors import InputError
+from swarmssm.inference.parameter_labels import short_names
 
 __all__ = ["plot_recovery", "varied_factors"]
 
@@ -123,11 +123,12 @@ def _median(values: npt.NDArray[np.float64]) -> float:
 def _draw(ax: Axes, curve: xr.Dataset, factor: str, names: list[str]) -> None:
     """Draw one panel."""
     values = curve[factor].to_numpy()
+    short = short_names(names)
     for index, name in enumerate(names):
         one = curve.sel(parameter=name)
         colour = INDIVIDUALS[index % len(INDIVIDUALS)]
         error, width = (np.where(one[n] > 0, one[n], np.nan) for n in ("error", "width"))
-        ax.plot(values, error, "o-", color=colour, markersize=4, label=short_name(name))
+        ax.plot(values, error, "o-", color=colour, markersize=4, label=short[name])
         ax.plot(values, width, ":", color=colour, linewidth=1.0)
     ax.set_xscale("log")
     log_scale(ax)

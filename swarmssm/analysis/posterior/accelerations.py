@@ -13,7 +13,7 @@ import pyro
 import torch
 import xarray as xr
 
-from swarmssm.analysis.interpretation.inferred_graph import law_graph, step_inputs
+from swarmssm.analysis.posterior.inferred_graph import graph_of_steps, step_inputs
 from swarmssm.errors import InputError
 from swarmssm.graphs import Graph, dense
 from swarmssm.inference import Fit
@@ -95,7 +95,7 @@ def posterior_paths(
     return PosteriorPaths(
         states.masked_fill(~present.unsqueeze(-1), 0.0),
         present,
-        law_graph(fit, prepared).to(torch.float64),
+        graph_of_steps(fit, prepared).to(torch.float64),
         parameters,
         prepared.tracks,
     )

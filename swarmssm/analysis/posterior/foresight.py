@@ -15,8 +15,8 @@ import torch
 import xarray as xr
 from torch import Tensor
 
-from swarmssm.analysis.interpretation.inferred_graph import has_inferred_edges
 from swarmssm.analysis.posterior.draw_filter import Foreseen, filter_draws
+from swarmssm.analysis.posterior.inferred_graph import has_inferred_edges
 from swarmssm.analysis.posterior.subject import subject_of
 from swarmssm.errors import InputError
 from swarmssm.inference import Fit

@@ -11,12 +11,12 @@ import xarray as xr
 import swarmssm
 from swarmssm.analysis.posterior.container import container_of
 from swarmssm.analysis.posterior.foresight import draw_parameters, predict_one_step
-from swarmssm.analysis.posterior.labels import labelled_parameters
 from swarmssm.analysis.posterior.layout import Layout
 from swarmssm.analysis.posterior.log_likelihood import rows_of, segments_of
 from swarmssm.errors import InputError
 from swarmssm.inference import Fit
 from swarmssm.inference.data import Prepared
+from swarmssm.inference.parameter_labels import labelled_parameters
 from swarmssm.inference.prediction import seeded
 from swarmssm.models import StateSpaceModel
 from swarmssm.models.parameters import priors_of

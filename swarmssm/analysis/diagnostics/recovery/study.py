@@ -23,7 +23,6 @@ from swarmssm.analysis.diagnostics.recovery.designs import (
     varied_values,
 )
 from swarmssm.analysis.diagnostics.recovery.table import Recovery
-from swarmssm.analysis.diagnostics.sbc.parameter_names import named_draws, named_numbers
 from swarmssm.analysis.diagnostics.sbc.simulated import (
     UNIFORM_SIDE,
     FixedModel,
@@ -33,6 +32,7 @@ from swarmssm.analysis.diagnostics.studies import check_whole, failures, name_of
 from swarmssm.errors import InputError, WorkError
 from swarmssm.graphs import GraphRule
 from swarmssm.inference.guides.parameters import GlobalGuide
+from swarmssm.inference.parameter_labels import label_draws, label_numbers
 from swarmssm.jobs import Progress, Row
 from swarmssm.models import ObservedEdges, Scales, StateSpaceModel, find_model
 from swarmssm.models.parameters import priors_of
@@ -93,13 +93,12 @@ class _Recover:
             return {"failed": f"fit: {error}"}
         drawn = fitted.parameters(2000, second)
         row: Row = {"truth": {}, "median": {}, "sd": {}, "low": {}, "high": {}}
-        numbers = named_numbers(truth)
-        for name in truth:
-            for own_name, column in named_draws(name, drawn[name].to_numpy()):
-                low, middle, high = np.quantile(column, [0.05, 0.5, 0.95])
-                row["truth"][own_name] = numbers[own_name]
-                row["median"][own_name], row["sd"][own_name] = float(middle), float(column.std())
-                row["low"][own_name], row["high"][own_name] = float(low), float(high)
+        numbers = label_numbers(truth)
+        for label, column in label_draws({name: drawn[name] for name in truth}).items():
+            low, middle, high = np.quantile(column, [0.05, 0.5, 0.95])
+            row["truth"][label] = numbers[label]
+            row["median"][label], row["sd"][label] = float(middle), float(column.std())
+            row["low"][label], row["high"][label] = float(low), float(high)
         return {**row, "seconds": time.process_time() - began}
 
     def edges(self, design: Design) -> tuple[dict[str, Any], str | None]:

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from swarmssm.analysis.diagnostics.sbc.parameter_names import short_name
+from swarmssm.inference.parameter_labels import short_names
 
 __all__ = ["Recovery", "factor_curve", "gains_of"]
 
@@ -51,11 +51,12 @@ class Recovery:
         ``"0.03 or less"``, ``"all"``, ``"none"``, or the values. Empty for a grid.
         """
         rows = {}
+        short = short_names([str(name) for name in self.data["parameter"].values])
         for factor in dict.fromkeys(str(name) for name in self.data["factor"].values):
             if factor not in ("base", "grid"):
                 curve = factor_curve(self.data, factor)
                 rows[factor] = {
-                    short_name(str(name)): _where(
+                    short[str(name)]: _where(
                         curve[factor].to_numpy(),
                         curve["error"].sel(parameter=name).to_numpy() <= self._tolerance * ROUNDING,
                     )
@@ -76,13 +77,14 @@ class Recovery:
             f"{int(first['individuals'])} individuals, tracking noise {float(first['noise']):.2g}"
         )
         share = f"{100 * self._tolerance:.0f} %"
+        names = [str(name) for name in first["parameter"].values]
         recovered = np.nanmax(error) <= self._tolerance * ROUNDING
         needed = first["frames_needed"].to_numpy()
         frames = f"{int(np.nanmax(needed))}" if np.isfinite(needed).any() else "unknown"
         return (
             f"{'All' if recovered else 'Not all'} {what} are recovered to within {share} ({size}): "
             f"largest median error {100 * error[worst]:.0f} % "
-            f"({short_name(str(first['parameter'].values[worst]))}, "
+            f"({short_names(names)[names[worst]]}, "
             f"{int(first['fitted'])} data sets), coverage of 90 % intervals "
             f"{100 * float(first['coverage'].mean()):.0f} %; a posterior standard deviation of "
             f"{share} takes about {frames} frames a trial."

@@ -13,7 +13,6 @@ import torch
 import xarray as xr
 
 from swarmssm import inference
-from swarmssm.analysis.diagnostics.sbc.parameter_names import named_draws, named_numbers
 from swarmssm.analysis.diagnostics.sbc.ranks import Calibration, calibration_of_ranks
 from swarmssm.analysis.diagnostics.sbc.simulated import (
     FixedModel,
@@ -23,6 +22,7 @@ from swarmssm.analysis.diagnostics.sbc.simulated import (
 from swarmssm.analysis.diagnostics.studies import check_whole, failures, name_of, run_study
 from swarmssm.analysis.posterior.accelerations import posterior_paths
 from swarmssm.errors import InputError, WorkError
+from swarmssm.inference.parameter_labels import label_draws, label_numbers
 from swarmssm.jobs import Progress, Row
 from swarmssm.models import Scales
 from swarmssm.models.parameters import priors_of
@@ -97,10 +97,9 @@ class _Calibrate:
         rng = np.random.default_rng(second)
         row: Row = {name: {} for name in ("truth", "rank", "mean", "sd", "low", "high")}
         # As the posterior has them: a rank among numbers of single precision.
-        true = named_numbers({name: value.to(torch.float32) for name, value in truth.items()})
-        for name in truth:
-            for own, values in named_draws(name, drawn[name].to_numpy()):
-                _note(row, own, true[own], values, self.draws, rng)
+        true = label_numbers({name: value.to(torch.float32) for name, value in truth.items()})
+        for own, values in label_draws({name: drawn[name] for name in truth}).items():
+            _note(row, own, true[own], values, self.draws, rng)
         if self.path_draws:
             paths = posterior_paths(fitted, tracks, self.path_draws, second).states
             for name, quantity in self.quantities.items():

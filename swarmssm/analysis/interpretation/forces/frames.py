@@ -8,8 +8,8 @@ import torch
 import xarray as xr
 
 from swarmssm import forces
-from swarmssm.analysis.interpretation.inferred_graph import step_inputs
 from swarmssm.analysis.posterior.accelerations import PosteriorPaths
+from swarmssm.analysis.posterior.inferred_graph import step_inputs
 from swarmssm.analysis.posterior.intervals import QUANTILES
 from swarmssm.errors import InputError
 from swarmssm.graphs import dense

@@ -3,8 +3,8 @@
 import pyro
 import torch
 
-from swarmssm.analysis.interpretation.inferred_graph import step_inputs
 from swarmssm.analysis.posterior.accelerations import AccelerationModel, Values
+from swarmssm.analysis.posterior.inferred_graph import step_inputs
 from swarmssm.inference import Fit
 from swarmssm.models import StateSpaceModel
 from swarmssm.models.transitions import KinematicTransition

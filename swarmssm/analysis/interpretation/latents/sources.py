@@ -10,8 +10,8 @@ import torch
 import xarray as xr
 
 from swarmssm import forces
-from swarmssm.analysis.interpretation.inferred_graph import law_graph, step_inputs
 from swarmssm.analysis.posterior.accelerations import acceleration_model
+from swarmssm.analysis.posterior.inferred_graph import graph_of_steps, step_inputs
 from swarmssm.errors import InputError
 from swarmssm.inference import Fit
 from swarmssm.inference.guides import PathGuide
@@ -201,7 +201,7 @@ class View:
         else:
             names = [f"state {place + 1}" for place in range(model.state_dim)]
             parts = [(path.masked_fill(gone, torch.nan).numpy(), names, "state")]
-        adjacency = law_graph(fit, self.prepared)
+        adjacency = graph_of_steps(fit, self.prepared)
         motion = acceleration_model(fit) if kinematic else None
         if motion is not None and motion.terms:
             still = torch.from_numpy(np.nan_to_num(self.states))
@@ -222,7 +222,7 @@ class View:
         transition, gone = model.transition, ~present.unsqueeze(-1)
         axes = SPACE_NAMES[: self.space]
         values = guide.parameters_guide.median() if isinstance(guide, PathGuide) else {}
-        graph = law_graph(self.fit, self.prepared).to(scaled.dtype)
+        graph = graph_of_steps(self.fit, self.prepared).to(scaled.dtype)
         given = step_inputs(model, graph, present)
         found = []
         with self.fit.with_parameters(values), torch.no_grad(), pyro.validation_enabled(False):
@@ -292,7 +292,7 @@ class View:
         states = torch.from_numpy(self.states)
         present = states.isfinite().all(-1)
         gone = ~present.unsqueeze(-1)
-        graph = law_graph(self.fit, self.prepared).to(torch.float64)
+        graph = graph_of_steps(self.fit, self.prepared).to(torch.float64)
         with torch.no_grad():
             found = motion.acceleration(states.masked_fill(gone, 0.0), graph, present)
         return found.masked_fill(gone, torch.nan).numpy()

@@ -14,7 +14,7 @@ from swarmssm.analysis.plots.calibration import (
 from swarmssm.analysis.plots.recovery import plot_recovery
 from swarmssm.errors import InputError
 
-NOISE = "tracking noise (outside)"
+NOISE = "noise (outside)"
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def test_the_line_is_the_difference_from_uniform(ranks):
 
 def test_coverage_has_a_row_for_each_quantity(ranks):
     figure, ax = plot_coverage(ranks)
-    assert [text.get_text() for text in ax.get_yticklabels()][-1] == "tracking noise"
+    assert [text.get_text() for text in ax.get_yticklabels()][-1] == "noise"
     assert len(ax.containers) == 4
     figure.canvas.draw()
 

@@ -7,8 +7,8 @@ import torch
 from swarmssm import inference, simulate
 from swarmssm.analysis import analysis_page, analyze, inferred_edges, plots, to_inference_data
 from swarmssm.analysis.interpretation import influence
-from swarmssm.analysis.interpretation.inferred_graph import law_graph, step_inputs
 from swarmssm.analysis.posterior.accelerations import acceleration_model, posterior_paths
+from swarmssm.analysis.posterior.inferred_graph import graph_of_steps, step_inputs
 
 KINDS = ("relational", "dynamic-relational")
 
@@ -64,7 +64,7 @@ def moved(fit, tracks, graph, states, present):
 def test_the_law_of_motion_sees_the_inferred_edges(sure, flock, kind):
     fit = sure(kind)
     prepared = fit.prepare(flock)
-    graph = law_graph(fit, prepared).to(torch.float64)[:, :-1]
+    graph = graph_of_steps(fit, prepared).to(torch.float64)[:, :-1]
     pairs = ~torch.eye(4, dtype=torch.bool)
     assert graph.shape == (3, 29, 4, 4, 2)
     torch.testing.assert_close(graph[..., pairs, kind], torch.ones(3, 29, 12).double())

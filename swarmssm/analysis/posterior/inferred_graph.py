@@ -10,7 +10,7 @@ from swarmssm.inference.prediction import StateSpacePredictor
 from swarmssm.models import InferredEdges, StateSpaceModel, StepInputs
 from swarmssm.models.base import SwarmModel
 
-__all__ = ["has_inferred_edges", "law_graph", "step_inputs"]
+__all__ = ["graph_of_steps", "has_inferred_edges", "step_inputs"]
 
 
 def has_inferred_edges(model: SwarmModel) -> bool:
@@ -18,7 +18,7 @@ def has_inferred_edges(model: SwarmModel) -> bool:
     return isinstance(model, StateSpaceModel) and isinstance(model.edges, InferredEdges)
 
 
-def law_graph(fit: Fit, prepared: Prepared) -> Tensor:
+def graph_of_steps(fit: Fit, prepared: Prepared) -> Tensor:
     """Return the graph of tracks as the law of motion of a fit takes it.
 
     Parameters
@@ -41,7 +41,7 @@ def law_graph(fit: Fit, prepared: Prepared) -> Tensor:
 
 
 def step_inputs(model: SwarmModel, graph: Graph, present: Tensor | None) -> StepInputs:
-    """Return the inputs of steps with a graph as :func:`law_graph` returns it.
+    """Return the inputs of steps with a graph as :func:`graph_of_steps` returns it.
 
     Probabilities of types act as weights: a law sees each neighbour as strongly as it is likely to
     act.

@@ -1,4 +1,4 @@
-"""Names and units of parameters, as they stand in a container of results."""
+"""Labels of parameters, the same in every table, figure and container: names, places, units."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -11,7 +11,7 @@ from swarmssm.models import StateSpaceModel
 from swarmssm.models.parameters import declaration
 from swarmssm.tracks import Array
 
-__all__ = ["labelled_parameters", "short_names", "units_of"]
+__all__ = ["label_draws", "label_numbers", "labelled_parameters", "short_names", "units_of"]
 
 #: Parameters whose free length is not the number of individuals.
 NOT_OF_INDIVIDUALS = ("modulation",)
@@ -45,11 +45,53 @@ UNITS = {
 
 
 def short_names(names: Sequence[str]) -> dict[str, str]:
-    """Return full name -> the last part of it where that leaves no doubt, else all of it."""
+    """Return full name -> the last part of it where that leaves no doubt, else all of it.
+
+    Parameters
+    ----------
+    names
+        Full names such as ``transition.center``, or of numbers such as ``transition.center[0]``.
+    """
     last = [name.rpartition(".")[2] for name in names]
     return {
         name: own if last.count(own) == 1 else name for name, own in zip(names, last, strict=True)
     }
+
+
+def label_numbers(values: Mapping[str, Any]) -> dict[str, float]:
+    """Return each number of parameters by name and place, such as ``transition.center[0]``.
+
+    Parameters
+    ----------
+    values
+        Name -> array or tensor of one value of the parameter.
+    """
+    labelled = {}
+    for name, value in values.items():
+        array = np.asarray(value)
+        for place in np.ndindex(array.shape):
+            labelled[_at(name, place)] = float(array[place])
+    return labelled
+
+
+def label_draws(values: Mapping[str, Any]) -> dict[str, Array]:
+    """Return the draws of each number of parameters by name and place, ``(draw,)``.
+
+    Parameters
+    ----------
+    values
+        Name -> array or tensor ``(draw, ...)``.
+    """
+    labelled = {}
+    for name, value in values.items():
+        array = np.asarray(value)
+        for place in np.ndindex(array.shape[1:]):
+            labelled[_at(name, place)] = array[(slice(None), *place)]
+    return labelled
+
+
+def _at(name: str, place: tuple[int, ...]) -> str:
+    return name + (f"[{', '.join(map(str, place))}]" if place else "")
 
 
 def units_of(module: PyroModule, name: str, length: str) -> str:
