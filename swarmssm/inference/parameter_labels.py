@@ -9,39 +9,13 @@ from pyro.nn import PyroModule
 
 from swarmssm.models import StateSpaceModel
 from swarmssm.models.parameters import declaration
+from swarmssm.models.units import units_of
 from swarmssm.tracks import Array
 
-__all__ = ["label_draws", "label_numbers", "labelled_parameters", "short_names", "units_of"]
+__all__ = ["at_place", "label_draws", "label_numbers", "labelled_parameters", "short_names"]
 
 #: Parameters whose free length is not the number of individuals.
 NOT_OF_INDIVIDUALS = ("modulation",)
-#: What a parameter is measured in, where the name says it: L stands for the unit of length.
-UNITS = {
-    "cohesion_gain": "s-2",
-    "alignment_gain": "s-1",
-    "wall_gain": "s-2",
-    "homing_gain": "s-2",
-    "damping": "s-1",
-    "relaxation_gain": "s-1",
-    "preferred_speed": "L s-1",
-    "min_speed": "L s-1",
-    "max_speed": "L s-1",
-    "half_width": "L",
-    "center": "L",
-    "home": "L",
-    "radius": "L",
-    "radius_width": "L",
-    "noise": "L",
-    "velocity_noise": "L s-1",
-    "exponent": "1",
-    "excess_degrees": "1",
-    "influence": "1",
-    "responsiveness": "1",
-    "modulation": "1",
-    "attraction": "1",
-    "repulsion": "1",
-    "alignment": "1",
-}
 
 
 def short_names(names: Sequence[str]) -> dict[str, str]:
@@ -70,7 +44,7 @@ def label_numbers(values: Mapping[str, Any]) -> dict[str, float]:
     for name, value in values.items():
         array = np.asarray(value)
         for place in np.ndindex(array.shape):
-            labelled[_at(name, place)] = float(array[place])
+            labelled[at_place(name, place)] = float(array[place])
     return labelled
 
 
@@ -86,34 +60,13 @@ def label_draws(values: Mapping[str, Any]) -> dict[str, Array]:
     for name, value in values.items():
         array = np.asarray(value)
         for place in np.ndindex(array.shape[1:]):
-            labelled[_at(name, place)] = array[(slice(None), *place)]
+            labelled[at_place(name, place)] = array[(slice(None), *place)]
     return labelled
 
 
-def _at(name: str, place: tuple[int, ...]) -> str:
+def at_place(name: str, place: tuple[int, ...]) -> str:
+    """Return the label of one number of a parameter, such as ``center[0]``."""
     return name + (f"[{', '.join(map(str, place))}]" if place else "")
-
-
-def units_of(module: PyroModule, name: str, length: str) -> str:
-    """Return the unit of a parameter; empty where it is not known.
-
-    Parameters
-    ----------
-    module
-        The part of the model that it belongs to.
-    name
-        Its own name there.
-    length
-        Unit of length of the tracks.
-    """
-    form = getattr(module, "form", "acceleration")
-    if form == "velocity" and name in ("cohesion_gain", "alignment_gain", "wall_gain"):
-        return "1" if name == "alignment_gain" else "s-1"
-    if name == "process_noise":
-        multiplicative = getattr(module, "noise", "additive") == "multiplicative"
-        return "1" if multiplicative else f"{length or 'L'} s-3/2"
-    unit = UNITS.get(name, "")
-    return unit.replace("L", length) if length else unit
 
 
 def labelled_parameters(
@@ -142,7 +95,7 @@ def labelled_parameters(
     dimension ``individual`` (pairs: ``neighbor`` too), for each axis ``space``, and others such as
     ``attraction_dim_0``.
     """
-    short = short_names(list(values))
+    short, units = short_names(list(values)), units_of(model, length)
     data: dict[str, Any] = {}
     coords: dict[str, Any] = {"chain": [0]}
     for full, value in values.items():
@@ -154,7 +107,7 @@ def labelled_parameters(
         attrs = {
             "long_name": f"{own.replace('_', ' ')} ({full})",
             "full_name": full,
-            "units": units_of(module, own, length),
+            "units": units.get(full, ""),
         }
         data[short[full]] = (("chain", "draw", *dims), array, attrs)
         coords["draw"] = np.arange(len(value))

@@ -12,6 +12,7 @@ import torch
 import xarray as xr
 from torch.distributions import biject_to
 
+from swarmssm.inference.parameter_labels import at_place, short_names
 from swarmssm.models.priors import parameters_of
 from swarmssm.models.pyro_modules import priors_in
 from swarmssm.models.units import units_of
@@ -47,13 +48,10 @@ def posterior_table(
     entries
         Numbers of which a parameter may consist to have a row for each.
     """
-    names = [str(name) for name in drawn.data_vars]
-    short = [name.rpartition(".")[2] for name in names]
     units = units_of(model, unit)
     known = parameters_of(model)
     rows: dict[str, tuple[object, ...]] = {}
-    for name, own in zip(names, short, strict=True):
-        label = own if short.count(own) == 1 else name
+    for name, label in short_names([str(name) for name in drawn.data_vars]).items():
         values = drawn[name].to_numpy()
         if values[0].size > entries:
             shape = " x ".join(map(str, values.shape[1:]))
@@ -64,13 +62,12 @@ def posterior_table(
         notes = _notes(priors_in(module).get(attribute), values)
         for place in np.ndindex(values.shape[1:]):
             column = values[(slice(None), *place)]
-            index = f"[{', '.join(map(str, place))}]" if place else ""
             low, high = np.quantile(column, [0.05, 0.95])
             note = str(notes[place])
             if column.std() <= 1e-9 * abs(column.mean()):
                 low, high, note = np.nan, np.nan, "fixed"
             row = (column.mean(), column.std(), low, high, units.get(name, ""), note)
-            rows[label + index] = row
+            rows[at_place(label, place)] = row
     table = pd.DataFrame.from_dict(rows, orient="index", columns=COLUMNS)
     return table.rename_axis("parameter")
 

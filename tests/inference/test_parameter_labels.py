@@ -4,7 +4,7 @@ import numpy as np
 import pyro.distributions as dist
 import torch
 
-from swarmssm.inference.parameter_labels import labelled_parameters, short_names, units_of
+from swarmssm.inference.parameter_labels import labelled_parameters, short_names
 from swarmssm.models import InitialStates, PositionEmission, StateSpaceModel
 from swarmssm.models.parameters import priors_of
 from swarmssm.models.transitions import BoidsTransition
@@ -56,14 +56,3 @@ def test_two_individuals_are_not_taken_for_two_axes():
     values = {name: np.zeros((5, 2)) for name in ("transition.cohesion_gain",)}
     found = labelled_parameters(model, values, ["a", "b"], ["x", "y"], "")
     assert found["cohesion_gain"].dims == ("chain", "draw", "individual")
-
-
-def test_units_follow_the_form_of_the_law():
-    law = boids(3).transition
-    assert units_of(law, "alignment_gain", "cm") == "s-1"
-    assert units_of(law, "process_noise", "cm") == "cm s-3/2"
-    law._form, law.noise = "velocity", "multiplicative"
-    assert units_of(law, "alignment_gain", "cm") == "1"
-    assert units_of(law, "process_noise", "cm") == "1"
-    assert units_of(law, "of_a_user", "cm") == ""
-    assert units_of(law, "max_speed", "") == "L s-1"

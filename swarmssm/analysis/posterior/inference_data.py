@@ -182,7 +182,10 @@ def to_inference_data(
 def _notes(fit: Fit, parameters: Mapping[str, Any], groups: Mapping[str, Any]) -> list[str]:
     """Return what a reader of the groups has to know."""
     notes = [
-        "Log-likelihoods are margins of individuals: their sum is not the joint density of a frame."
+        "The posterior is variational: its draws are independent, so that r_hat and the effective "
+        "sample size of ArviZ say nothing of how good it is.",
+        "Log-likelihoods are margins of individuals: their sum is not the joint density of a "
+        "frame.",
     ]
     if not parameters:
         notes.append(

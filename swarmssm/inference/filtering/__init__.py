@@ -1,4 +1,20 @@
-"""Gaussian and particle filters of a swarm's joint state, at given parameters."""
+"""Gaussian filters and smoothers of a swarm's states, at given parameters.
+
+Which is for what:
+
+* ``collapsed_evidence`` (:mod:`~swarmssm.inference.filtering.evidence`): the log evidence of
+  windows and its gradient, to fit parameters with. Of a kinematic transition it is an integral over
+  positions (:mod:`~swarmssm.inference.filtering.positions`, whose precision is a band,
+  :mod:`~swarmssm.inference.filtering.banded`, with a hand-written derivative,
+  :mod:`~swarmssm.inference.filtering.integral`); of others a Kalman filter with a hand-written
+  adjoint (:mod:`~swarmssm.inference.filtering.adjoint`).
+* ``extended_kalman``, ``kalman``, ``smooth`` (:mod:`~swarmssm.inference.filtering.kalman`):
+  filtered and smoothed moments of all frames with the system that they come from, to draw paths
+  from (``draw_paths``) and to score these (``path_log_density``). ``filtered_at`` keeps a few
+  frames alone, from which forecasts go on.
+* :mod:`~swarmssm.inference.filtering.layouts`: the states of a swarm in one vector, or, above 30
+  individuals, each on its own (:mod:`~swarmssm.inference.filtering.blocks`).
+"""
 
 from swarmssm.inference.filtering.affine import AffineMap, AffineSwarm, Linearizer, Taylor
 from swarmssm.inference.filtering.evidence import (
@@ -6,8 +22,6 @@ from swarmssm.inference.filtering.evidence import (
     collapsed_evidence,
     linearization_points,
 )
-from swarmssm.inference.filtering.importance import WeightedPaths, weigh_paths
-from swarmssm.inference.filtering.iterated import Iterated, iterated_smoother
 from swarmssm.inference.filtering.kalman import (
     Filtered,
     Smoothed,
@@ -16,32 +30,22 @@ from swarmssm.inference.filtering.kalman import (
     kalman,
     smooth,
 )
-from swarmssm.inference.filtering.particles import ParticleCloud, bootstrap_particle_filter
 from swarmssm.inference.filtering.paths import draw_paths, path_log_density
-from swarmssm.inference.filtering.sigma_points import SigmaPoints, unscented_kalman
 
 __all__ = [
     "AffineMap",
     "AffineSwarm",
     "Filtered",
-    "Iterated",
     "Linearizer",
-    "ParticleCloud",
     "Points",
-    "SigmaPoints",
     "Smoothed",
     "Taylor",
-    "WeightedPaths",
-    "bootstrap_particle_filter",
     "collapsed_evidence",
     "draw_paths",
     "extended_kalman",
     "filter_with",
-    "iterated_smoother",
     "kalman",
     "linearization_points",
     "path_log_density",
     "smooth",
-    "unscented_kalman",
-    "weigh_paths",
 ]

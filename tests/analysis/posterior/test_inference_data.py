@@ -74,7 +74,7 @@ def test_groups_are_named_and_labelled(whole, ten_trials):
     posterior = whole.posterior
     assert set(posterior.data_vars) == {"alignment_gain", "process_noise"}
     assert posterior["alignment_gain"].dims == ("chain", "draw")
-    assert posterior["alignment_gain"].attrs["units"] == "s-1"
+    assert posterior["alignment_gain"].attrs["units"] == "1/s"
     assert posterior["process_noise"].attrs["full_name"] == "transition.process_noise"
     dims = ("trial", "time", "individual")
     assert whole.log_likelihood["position"].dims == ("chain", "draw", *dims)

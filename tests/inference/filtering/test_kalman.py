@@ -7,18 +7,13 @@ import pyro.distributions as dist
 import pytest
 import torch
 from filterpy.kalman import KalmanFilter, rts_smoother
+from oracles.iterated import iterated_smoother
+from oracles.particles import bootstrap_particle_filter
+from oracles.sigma_points import unscented_kalman
 
 from swarmssm.errors import WorkError
 from swarmssm.graphs import EdgeList
-from swarmssm.inference.filtering import (
-    bootstrap_particle_filter,
-    draw_paths,
-    extended_kalman,
-    filter_with,
-    iterated_smoother,
-    smooth,
-    unscented_kalman,
-)
+from swarmssm.inference.filtering import draw_paths, extended_kalman, filter_with, smooth
 from swarmssm.inference.filtering.affine import Taylor
 from swarmssm.inference.filtering.matrices import root
 from swarmssm.models import LatentEdges, StateSpaceModel

