@@ -2,9 +2,11 @@
 
 from pathlib import Path
 
+import pandas as pd
+
 from swarmssm.analysis.plots.benchmark import plot_benchmark
-from swarmssm.analysis.report.embed import as_svg, report_style
-from swarmssm.analysis.report.page import render
+from swarmssm.analysis.report.embed import report_style
+from swarmssm.analysis.report.page import Note, Page, Prose, Table, figure
 from swarmssm.benchmark.measure_method import FLOOR
 from swarmssm.benchmark.models import MODELS
 from swarmssm.benchmark.results import Results
@@ -54,7 +56,7 @@ def write_results(results: Results, path: Path) -> list[Path]:
     with write_beside(paths[1], overwrite=True) as temporary:
         temporary.write_text(markdown(results), encoding="utf-8")
     with write_beside(paths[2], overwrite=True) as temporary:
-        temporary.write_text(benchmark_page(results), encoding="utf-8")
+        temporary.write_text(benchmark_page(results).html(), encoding="utf-8")
     with report_style():
         figure, _ = plot_benchmark(results.errors, _own(results), results.task.fps)
         with write_beside(paths[3], overwrite=True) as temporary:
@@ -81,23 +83,26 @@ def _rows(rows: list[dict[str, str]]) -> list[str]:
     return lines
 
 
-def benchmark_page(results: Results) -> str:
+def benchmark_page(results: Results) -> Page:
     """Return the table and the figure as a page that needs no network."""
     with report_style():
-        figure, _ = plot_benchmark(results.errors, _own(results), results.task.fps)
-        alt = "Squared error of each method over the time ahead; the numbers are in the table."
-        picture = as_svg(figure, "errors", alt)
+        drawn, _ = plot_benchmark(results.errors, _own(results), results.task.fps)
+        errors = figure(
+            "Errors against time ahead",
+            "Mean squared error of the scaled states that each method forecasts.",
+            drawn,
+        )
     caption, thesis = thesis_table(results)
-    return render(
-        "benchmark.html",
-        caption=caption,
-        thesis=thesis,
-        footnote=FOOTNOTE,
-        title=f"Benchmark: {results.task.title}",
-        sentences=_sentences(results),
-        picture=picture,
-        rows=results.shown_rows(),
-        columns=COLUMNS,
+    scores = "Scores of each method on the same frames, the best at one step first"
+    return Page(
+        f"Benchmark: {results.task.title}",
+        [
+            *(Prose(text) for text in _sentences(results)),
+            Table(scores, pd.DataFrame(results.shown_rows())),
+            errors,
+            Note(COLUMNS),
+            Table(caption, pd.DataFrame(thesis), FOOTNOTE),
+        ],
     )
 
 

@@ -91,7 +91,7 @@ def analyze(
     from swarmssm.analysis.interpretation.analyze import analyze as all_analyses
     from swarmssm.analysis.interpretation.summary import formatted_summary
     from swarmssm.analysis.plots.style import millimetres
-    from swarmssm.analysis.report.analysis_page import report_analysis
+    from swarmssm.analysis.report import analysis_page
     from swarmssm.analysis.report.figures import check_folder, write_analysis_files
 
     page = out.with_suffix(".html") if report is None else report
@@ -126,7 +126,7 @@ def analyze(
     # Both or neither: data without the page would stand in the way of the next call.
     with write_beside(out, overwrite=overwrite) as temporary:
         found.write(temporary, overwrite=True)
-        report_analysis(found, fitted, tracks, page, overwrite=overwrite)
+        analysis_page(found, fitted, tracks).write(page, overwrite=overwrite)
     if figures is not None:
         write_analysis_files(
             found,

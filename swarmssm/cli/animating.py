@@ -91,19 +91,18 @@ def animate(
     if individuals is not None:
         choice["individuals"] = [name.strip() for name in individuals.split(",")]
     if page:
-        from swarmssm.analysis.report.player import write_player
+        from swarmssm.analysis.report import player_page
 
-        write_player(
+        shown = player_page(
             tracks,
-            out,
             predicted,
-            overwrite=overwrite,
             title=f"Tracks of {file.name}",
             titles=(titles[0].capitalize(), titles[1].capitalize()),
             tail=tail,
             fps_out=fps_out,
             **choice,
         )
+        shown.write(out, overwrite=overwrite)
     else:
         from swarmssm.analysis.plots import animation as films
         from swarmssm.analysis.report.embed import report_style

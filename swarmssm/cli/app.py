@@ -18,8 +18,8 @@ from swarmssm.cli.checking import check
 from swarmssm.cli.comparing import compare
 from swarmssm.cli.demo import demo
 from swarmssm.cli.fitting import fit
-from swarmssm.cli.gathering import gather
-from swarmssm.cli.running import evaluate, forecast, report, rollout
+from swarmssm.cli.reporting import report
+from swarmssm.cli.running import evaluate, forecast, rollout
 from swarmssm.cli.simulating import simulate
 from swarmssm.cli.tracks import import_tracks, info
 from swarmssm.errors import SwarmssmError, WorkError
@@ -58,7 +58,6 @@ app.command("check")(check)
 app.command("compare")(compare)
 app.command("benchmark")(benchmark)
 app.command("analyze")(analyze)
-app.command("gather")(gather)
 app.command("animate")(animate)
 app.command("sbc")(sbc)
 app.command("recovery")(recovery)

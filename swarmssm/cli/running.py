@@ -1,21 +1,20 @@
-"""``evaluate``, ``forecast``, ``rollout`` and ``report``: what a fitted run is used for."""
+"""``evaluate``, ``forecast`` and ``rollout``: what a fitted run predicts, and how well."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from swarmssm.cli.comparing import Against, Horizons, load_other_runs, parse_horizons
+from swarmssm.cli.comparing import Horizons, parse_horizons
 from swarmssm.cli.console import print_all_scores, print_evaluation, print_json, say, write_json
 from swarmssm.cli.options import File, Format, Overwrite, Run, Seed, TableFormat, TrustCode
-from swarmssm.cli.progress import stages
 from swarmssm.errors import InputError
 from swarmssm.files import check_output
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["evaluate", "forecast", "report", "rollout"]
+__all__ = ["evaluate", "forecast", "rollout"]
 
 Edges = Annotated[
     str,
@@ -122,61 +121,6 @@ def rollout(
     result = fitted.rollout(initial, steps, draws, seed, edges)
     io.write(result, out, overwrite=overwrite)
     say(f"{out}: {result.sizes['trial']} free runs of {steps} steps.")
-
-
-def report(
-    run: Run,
-    out: Annotated[Path, typer.Option(help="HTML file to write.")],
-    data: Annotated[
-        Path | None, typer.Option(help="The tracks of the fit. Default: the file it was fitted on.")
-    ] = None,
-    against: Against = None,
-    checks: Annotated[
-        int,
-        typer.Option(
-            help="Swarms to simulate from the model and compare with the recording; 0 for none."
-        ),
-    ] = 100,
-    forces: Annotated[bool, typer.Option(help="Say which forces act, and by which rule.")] = True,
-    player: Annotated[
-        bool, typer.Option(help="Let recording and a free run be played side by side.")
-    ] = True,
-    seed: Seed = 0,
-    trust_code: TrustCode = False,
-    overwrite: Overwrite = False,
-) -> None:
-    """Write one self-contained HTML page: data, model, forecasts, checks, forces, comparison."""
-    from swarmssm import analysis, inference, io
-    from swarmssm.inference.fitting import tracks_digest
-
-    check_output(out, overwrite=overwrite)
-    fitted = inference.Fit.load(run, trust_code=trust_code)
-    known = fitted.provenance.get("data", {})
-    path = data or Path(known.get("file") or "")
-    if data is None and not (known.get("file") and path.exists()):
-        raise InputError(
-            f"{run}: the tracks it was fitted on are no longer at {path}. Name them with --data."
-        )
-    tracks = io.read(path)
-    if tracks_digest(tracks) != known.get("sha256"):
-        raise InputError(
-            f"{path}: these are not the tracks that {run} was fitted on. Name them with --data."
-        )
-    with stages() as show:
-        analysis.report_run(
-            fitted,
-            tracks,
-            out,
-            title=f"{fitted.settings.model} on {path.name}",
-            rivals=load_other_runs(against, fitted, trust_code) or None,
-            checks=checks,
-            forces=forces,
-            player=player,
-            overwrite=overwrite,
-            seed=seed,
-            progress=show,
-        )
-    say(f"{out}: written.")
 
 
 def _before(tracks: "xr.Dataset", until: float | None) -> "xr.Dataset":

@@ -16,7 +16,7 @@ from swarmssm.analysis.posterior.intervals import quantiles
 from swarmssm.analysis.scoring.table import format_number
 from swarmssm.analysis.scoring.verdicts import Skill, skill_at, verdict
 
-__all__ = ["forecast_test", "verdict_of"]
+__all__ = ["forecast_test", "forecast_verdict", "rule_verdict", "verdict_of"]
 
 #: In place of a forecast test.
 UNTESTED = "Forecasts were not scored: whether the rule can be believed is not known."
@@ -51,6 +51,14 @@ def forecast_test(scores: xr.Dataset, model: str) -> tuple[list[Skill], str]:
 
 def verdict_of(datasets: Mapping[str, xr.Dataset]) -> str:
     """Return the verdict of the datasets of an analysis; see :meth:`Analysis.verdict`."""
+    parts = [rule_verdict(datasets)]
+    if datasets.keys() - {"delays", "parameters"}:
+        parts.append(forecast_verdict(datasets.get("scores")))
+    return " ".join(filter(None, parts)) or "No individual turns before the others beyond chance."
+
+
+def rule_verdict(datasets: Mapping[str, xr.Dataset]) -> str:
+    """Return what moves the animals; empty where no analysis tells it."""
     parts = []
     if "forces" in datasets:
         parts.append(_forces(datasets["forces"]))
@@ -58,11 +66,12 @@ def verdict_of(datasets: Mapping[str, xr.Dataset]) -> str:
         parts += _kernels(datasets["kernels"])
     if "delays" in datasets:
         parts += _delays(datasets["delays"])
-    if "scores" in datasets:
-        parts.append(_forecasts(datasets["scores"]))
-    elif datasets.keys() - {"delays", "parameters"}:
-        parts.append(UNTESTED)
-    return " ".join(parts) or "No individual turns before the others beyond chance."
+    return " ".join(parts)
+
+
+def forecast_verdict(scores: xr.Dataset | None) -> str:
+    """Return whether forecasts are better than the best simple baseline's, and what follows."""
+    return UNTESTED if scores is None else _forecasts(scores)
 
 
 def _share(values: np.ndarray) -> str:

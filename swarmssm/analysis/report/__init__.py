@@ -1,30 +1,36 @@
-"""The report: one self-contained HTML file that says what a fit is worth."""
+"""Reports: one self-contained HTML page of blocks for a run, an analysis or a comparison."""
 
-from swarmssm.analysis.report.analysis_page import analysis_page, report_analysis
-from swarmssm.analysis.report.build import build_report, full_section, report_run, write_report
-from swarmssm.analysis.report.gathered_page import gathered_page, report_gathered
-from swarmssm.analysis.report.player import (
-    player_assets,
-    player_fragment,
-    player_html,
-    write_player,
+from swarmssm.analysis.report.compare import comparison_page
+from swarmssm.analysis.report.page import (
+    Figure,
+    Grid,
+    Note,
+    Page,
+    Player,
+    Prose,
+    Section,
+    Table,
+    Verdict,
+    figure,
 )
-from swarmssm.analysis.report.sections import Picture, Section, section_of
+from swarmssm.analysis.report.player import player_fragment, player_page
+from swarmssm.analysis.report.run import analysis_page, run_page, run_section
 
 __all__ = [
-    "Picture",
+    "Figure",
+    "Grid",
+    "Note",
+    "Page",
+    "Player",
+    "Prose",
     "Section",
+    "Table",
+    "Verdict",
     "analysis_page",
-    "build_report",
-    "full_section",
-    "gathered_page",
-    "player_assets",
+    "comparison_page",
+    "figure",
     "player_fragment",
-    "player_html",
-    "report_analysis",
-    "report_gathered",
-    "report_run",
-    "section_of",
-    "write_player",
-    "write_report",
+    "player_page",
+    "run_page",
+    "run_section",
 ]

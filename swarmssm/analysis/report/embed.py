@@ -1,10 +1,11 @@
-"""Figures as parts of a page: vector graphics that take the page's own ink, light or dark."""
+"""Figures as parts of a page: vector graphics in the page's own text colour, light or dark."""
 
 import html
 import io
 import re
 import warnings
 from contextlib import AbstractContextManager
+from importlib import resources
 from typing import Any
 
 import matplotlib
@@ -13,7 +14,10 @@ from markupsafe import Markup
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
-__all__ = ["as_svg", "report_style"]
+__all__ = ["NAME", "as_svg", "assets", "report_style"]
+
+#: What names inside a figure begin with; the page puts a number of the figure in its place.
+NAME = "\ue000"
 
 #: Points of width above which a figure has several panels, and is scrolled on a narrow screen.
 SINGLE = 500.0
@@ -29,21 +33,21 @@ def report_style() -> AbstractContextManager[None]:
     return matplotlib.style.context("default")
 
 
-def as_svg(figure: Figure, name: str, alt: str) -> Markup:
+def as_svg(figure: Figure, alt: str, name: str = NAME) -> Markup:
     """Return a figure as an SVG element to stand in a page.
 
     Parameters
     ----------
     figure
         What to draw. Black becomes the page's own colour of text, white the page itself.
-    name
-        Unlike that of any other figure on the page: the names inside start with it.
     alt
         What the figure shows, for those who do not see it.
+    name
+        Names inside start with it; it must differ from that of any other figure on the page.
     """
     stream = io.StringIO()
     # Text stays text; and the same figure gives the same bytes.
-    options: Any = {"svg.fonttype": "none", "svg.hashsalt": name}
+    options: Any = {"svg.fonttype": "none", "svg.hashsalt": "swarmssm"}
     with matplotlib.rc_context(options), warnings.catch_warnings():
         # Text stays text, and the page's fonts have what matplotlib's own may lack.
         warnings.filterwarnings("ignore", r"Glyph .* missing from (font|current font)")
@@ -62,14 +66,24 @@ def as_svg(figure: Figure, name: str, alt: str) -> Markup:
     )
     rest = re.sub(r'(font(?:-family)?: *[^;"]*?)\'DejaVu Sans\'[^;"]*', r"\1sans-serif", rest)
     rest = re.sub(r"(stroke|fill): #000000", r"\1: currentColor", rest)
-    # Names are made unlike those of other figures; a figure's own do not clash.
     rest = re.sub(r'\bid="', f'id="{name}-', rest)
     rest = re.sub(r'(href="#|url\(#)', rf"\g<1>{name}-", rest)
     return Markup(head + _each_once(rest))
 
 
+def assets(moves: bool) -> Markup:
+    """Return style and script of all players of a page; nothing where nothing moves."""
+    if not moves:
+        return Markup("")
+    folder = resources.files("swarmssm.analysis.report")
+    style, script = (
+        folder.joinpath(name).read_text(encoding="utf-8") for name in ("player.css", "player.js")
+    )
+    return Markup(f"<style>\n{style}</style>\n<script>\n{script}</script>\n")
+
+
 def _each_once(text: str) -> str:
-    """Leave away a name where it stands again: equal pictures get equal names."""
+    """Remove a name where it is repeated: equal pictures get equal names."""
     seen: set[str] = set()
 
     def first(found: re.Match[str]) -> str:
@@ -81,9 +95,9 @@ def _each_once(text: str) -> str:
 
 
 def _draw(figure: Figure, stream: io.StringIO) -> None:
-    """Write a figure without grounds, as SVG.
+    """Write a figure with a transparent background, as SVG.
 
-    ``savefig`` would do the same, but draws all once more for a layout that is there by then.
+    ``savefig`` would do the same, but draws everything a second time for its layout.
     """
     engine = figure.get_layout_engine()
     if engine is not None:

@@ -1,7 +1,5 @@
 """Tracks in a browser: a player that needs no network, alone on a page or as a part of one."""
 
-from importlib import resources
-from pathlib import Path
 from typing import Any, Unpack
 
 import numpy as np
@@ -20,12 +18,11 @@ from swarmssm.analysis.plots.scenes.scene import (
 )
 from swarmssm.analysis.plots.style import individual_colours
 from swarmssm.analysis.plots.tracks import TAIL
-from swarmssm.analysis.report.page import render
+from swarmssm.analysis.report.page import Page, Player, render
 from swarmssm.analysis.report.player_data import pack_scene, resolution_of
 from swarmssm.errors import InputError
-from swarmssm.files import check_output, write_beside
 
-__all__ = ["player_assets", "player_fragment", "player_html", "write_player"]
+__all__ = ["player_fragment", "player_page"]
 
 #: Bytes of text at most: a page that takes more opens slowly.
 MAX_BYTES = 15_000_000
@@ -52,10 +49,9 @@ def player_fragment(
     titles: tuple[str, str] = TITLES,
     label: str = "Player of tracks",
     autoplay: bool = False,
-    assets: bool = True,
     **choice: Unpack[Choice],
 ) -> Markup:
-    """Return a player as a part of a page: HTML with its data, its style and its script.
+    """Return a player as a part of a page: HTML with its data; the page adds style and script.
 
     Parameters
     ----------
@@ -71,9 +67,6 @@ def player_fragment(
         Name of the player for those who do not see it.
     autoplay
         Whether to start by itself; where the reader prefers reduced motion it does not.
-    assets
-        Whether style and script come with it. A page with several players needs them but once,
-        after the last: leave them out and add :func:`player_assets`.
     **choice
         ``trial, individuals, start, steps, every, edges, predicted_start``: what is shown, see
         :func:`swarmssm.analysis.plots.scenes.scenes_of`.
@@ -92,20 +85,10 @@ def player_fragment(
         if it would be larger than 15 MB.
     """
     scenes = scenes_of(tracks, predicted, **choice)
-    body = _body(scenes, tail, fps_out, titles, label, autoplay, page=False)
-    return body + player_assets() if assets else body
+    return _body(scenes, tail, fps_out, titles, label, autoplay, page=False)
 
 
-def player_assets() -> Markup:
-    """Return style and script, to stand once on a page, after all its players."""
-    folder = resources.files("swarmssm.analysis.report")
-    style, script = (
-        folder.joinpath(name).read_text(encoding="utf-8") for name in ("player.css", "player.js")
-    )
-    return Markup(f"<style>\n{style}</style>\n<script>\n{script}</script>\n")
-
-
-def player_html(
+def player_page(
     tracks: xr.Dataset,
     predicted: xr.Dataset | None = None,
     *,
@@ -115,8 +98,8 @@ def player_html(
     titles: tuple[str, str] = TITLES,
     autoplay: bool = True,
     **choice: Unpack[Choice],
-) -> str:
-    """Return a player alone on its page: one file of HTML, which needs and may use no network.
+) -> Page:
+    """Return a page with a player alone, which has the keys of the keyboard.
 
     Parameters
     ----------
@@ -132,60 +115,7 @@ def player_html(
     """
     scenes = scenes_of(tracks, predicted, **choice)
     body = _body(scenes, tail, fps_out, titles, title, autoplay, page=True)
-    return render("player_page.html", title=title, player=body)
-
-
-def write_player(
-    tracks: xr.Dataset,
-    path: str | Path,
-    predicted: xr.Dataset | None = None,
-    *,
-    overwrite: bool = False,
-    title: str | None = None,
-    tail: int = TAIL,
-    fps_out: float | None = None,
-    titles: tuple[str, str] = TITLES,
-    autoplay: bool = True,
-    **choice: Unpack[Choice],
-) -> Path:
-    """Write the page of :func:`player_html`, beside and renamed.
-
-    Parameters
-    ----------
-    path
-        The file to write.
-    overwrite
-        Whether an existing file may be replaced.
-    title
-        Heading; default the name of the file without its ending.
-    tracks, predicted, tail, fps_out, titles, autoplay, **choice
-        As for :func:`player_fragment`.
-
-    Returns
-    -------
-    The path.
-
-    Raises
-    ------
-    InputError
-        As :func:`player_html` and :func:`swarmssm.files.check_output`.
-    WorkError
-        If the file cannot be written.
-    """
-    path = check_output(Path(path), overwrite=overwrite)
-    text = player_html(
-        tracks,
-        predicted,
-        title=path.stem if title is None else title,
-        tail=tail,
-        fps_out=fps_out,
-        titles=titles,
-        autoplay=autoplay,
-        **choice,
-    )
-    with write_beside(path, overwrite=overwrite) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-    return path
+    return Page(title, [Player("", "", body)])
 
 
 def _body(
@@ -213,7 +143,7 @@ def _body(
     if sum(len(one["bytes"]) for one in packed) > MAX_BYTES:
         raise InputError(
             f"tracks: {len(first.time)} frames of {len(first.individuals)} individuals make a page "
-            f"of more than {MAX_BYTES // 10**6} MB. Take fewer steps, each so many-th frame, fewer "
+            f"of more than {MAX_BYTES // 10**6} MB. Take fewer steps, every n-th frame, fewer "
             "individuals, or no edges."
         )
     graph = any(one["graph"] for one in packed)

@@ -12,10 +12,8 @@ import pytest
 from swarmssm.analysis.plots.scenes import scenes_of
 from swarmssm.analysis.report import player
 from swarmssm.analysis.report.player import (
-    player_assets,
     player_fragment,
-    player_html,
-    write_player,
+    player_page,
 )
 from swarmssm.analysis.report.player_data import pack_scene, resolution_of
 from swarmssm.errors import InputError
@@ -121,7 +119,7 @@ def square(frames=5, **more):
 
 
 def test_a_page_holds_both_tracks_and_says_how_well():
-    text = player_html(square(), square(3), title="School", titles=("Seen", "Guessed"))
+    text = player_page(square(), square(3), title="School", titles=("Seen", "Guessed")).html()
     page = Checked(text)
     film = page.film()
     assert [len(one["individuals"]) for one in film["scenes"]] == [4, 4]
@@ -145,23 +143,20 @@ def test_a_page_holds_both_tracks_and_says_how_well():
 
 
 def test_a_page_may_not_use_the_network_and_does_not_try():
-    text = player_html(square())
+    text = player_page(square()).html()
     (policy,) = re.findall(r'Content-Security-Policy" content="([^"]+)"', text)
     assert policy.startswith("default-src 'none'")
     outside = re.sub(r"<script type=.application/json.>.*?</script>", "", text, flags=re.S)
     assert not re.search(r"https?:|//[a-z]|@import|\burl\(", outside)
 
 
-def test_a_fragment_has_no_names_and_brings_its_own_style_once():
-    whole = player_fragment(square(), label="One & only")
-    page = Checked(whole)
+def test_a_fragment_has_no_names():
+    body = player_fragment(square(), label="One & only")
+    page = Checked(body)
     assert not [tag for tag, attrs in page.found if "id" in attrs or "for" in attrs]
     assert page.found[0][1]["aria-label"] == "One & only"
-    assert whole.count("<style>") == 1
-    body = player_fragment(square(), assets=False)
     assert "<style>" not in body
-    assert body + player_assets() == player_fragment(square())
-    assert not Checked(body).film()["autoplay"]
+    assert not page.film()["autoplay"]
 
 
 def test_controls_follow_what_there_is():
@@ -178,7 +173,7 @@ def test_controls_follow_what_there_is():
 def test_hostile_names_stay_text():
     evil = "</script><script>alert('&')</script>"
     tracks = square(individuals=[f"{evil}{k}" for k in range(4)], unit=evil)
-    text = player_html(tracks, title=evil, titles=(evil, evil))
+    text = player_page(tracks, title=evil, titles=(evil, evil)).html()
     page = Checked(text)
     assert [tag for tag, _ in page.found].count("script") == 2
     assert page.film()["unit"] == evil
@@ -205,28 +200,16 @@ def test_what_a_reader_has_to_know_is_said():
     assert "Some positions of “Predicted” lie outside of the picture." in words
 
 
-def test_a_player_is_written_whole_and_not_over_another(tmp_path):
-    path = tmp_path / "school.html"
-    assert write_player(square(), path) == path
-    text = path.read_text(encoding="utf-8")
-    assert "<h1>school</h1>" in text
-    with pytest.raises(InputError, match="exists already"):
-        write_player(square(), path)
-    write_player(square(), path, overwrite=True, title="Other")
-    assert "<h1>Other</h1>" in path.read_text(encoding="utf-8")
-    assert [p.name for p in tmp_path.iterdir()] == ["school.html"]
-
-
 def test_what_would_open_slowly_is_refused(monkeypatch):
     monkeypatch.setattr(player, "MAX_BYTES", 10)
     with pytest.raises(InputError, match="5 frames of 4 individuals make a page of more than"):
-        player_html(square())
+        player_page(square()).html()
     with pytest.raises(InputError, match="tail: it must be at least 0, and it is -2"):
-        player_html(square(), tail=-2)
+        player_page(square(), tail=-2).html()
 
 
 def test_much_takes_little():
     """A thousand frames of ten individuals, with their graph, are below 100 kB."""
     generator = np.random.default_rng(0)
     path = generator.normal(size=(1000, 10, 2)).cumsum(axis=0)
-    assert len(player_html(make_tracks(path, fps=10), edges="k-nearest:3")) < 100_000
+    assert len(player_page(make_tracks(path, fps=10), edges="k-nearest:3").html()) < 100_000

@@ -5,7 +5,8 @@ import time
 import numpy as np
 import pytest
 
-from swarmssm.analysis.report.player import player_fragment, player_html
+from swarmssm.analysis.report.page import Page, Player
+from swarmssm.analysis.report.player import player_fragment, player_page
 from swarmssm.tracks import make_tracks
 
 FRAMES = 50
@@ -45,7 +46,7 @@ def wait_until(page, condition):
 
 
 def test_it_plays_by_itself_and_stops_when_told(visit, tracks):
-    page = ready(visit(player_html(tracks)))
+    page = ready(visit(player_page(tracks).html()))
     wait_until(page, "p.playing && p.frame > 0")
     play = page.get_by_role("button")
     assert "Pause" in play.inner_text()
@@ -62,7 +63,7 @@ def test_it_plays_by_itself_and_stops_when_told(visit, tracks):
 
 
 def test_who_prefers_less_motion_starts_it(visit, tracks):
-    page = ready(visit(player_html(tracks), reduced_motion="reduce"))
+    page = ready(visit(player_page(tracks).html(), reduced_motion="reduce"))
     page.wait_for_timeout(200)
     assert not playing(page)
     assert frame_of(page) == 0
@@ -71,7 +72,7 @@ def test_who_prefers_less_motion_starts_it(visit, tracks):
 
 
 def test_keys_do_what_they_say(visit, tracks):
-    page = ready(visit(player_html(tracks, autoplay=False)))
+    page = ready(visit(player_page(tracks, autoplay=False).html()))
     press = page.keyboard.press
     press("ArrowRight")
     press("ArrowRight")
@@ -114,7 +115,7 @@ def test_keys_do_what_they_say(visit, tracks):
 
 
 def test_it_shows_what_the_tracks_hold(visit, tracks):
-    page = ready(visit(player_html(tracks, tracks.isel(time=slice(0, 30)), autoplay=False)))
+    page = ready(visit(player_page(tracks, tracks.isel(time=slice(0, 30)), autoplay=False).html()))
     held = page.evaluate(
         """() => document.querySelector('.swarm-player').player.scenes.map((scene) => ({
             places: Array.from({length: scene.frames}, (_, frame) =>
@@ -153,7 +154,7 @@ def ink(page):
 
 
 def test_edges_tails_and_names_go_on_and_off(visit, tracks):
-    page = ready(visit(player_html(tracks, autoplay=False)))
+    page = ready(visit(player_page(tracks, autoplay=False).html()))
     page.evaluate("document.querySelector('.swarm-player').player.seek(30)")
     full = ink(page)
     for name in ("Edges", "Tails"):
@@ -166,7 +167,7 @@ def test_edges_tails_and_names_go_on_and_off(visit, tracks):
 
 
 def test_it_goes_faster_when_told(visit, tracks):
-    page = ready(visit(player_html(tracks, autoplay=False, fps_out=0.5)))
+    page = ready(visit(player_page(tracks, autoplay=False, fps_out=0.5).html()))
     page.get_by_label("Speed").select_option("8")
     page.get_by_role("button").click()
     # At 8 times half a frame a second one takes a quarter of a second, at once it took two.
@@ -174,13 +175,14 @@ def test_it_goes_faster_when_told(visit, tracks):
 
 
 def test_several_stand_on_one_page(visit, tracks):
-    players = player_fragment(tracks, label="One") + player_fragment(tracks, label="Two")
-    page = visit(f"<!DOCTYPE html><html lang=en><title>x</title><body>{players}</body></html>")
-    page.wait_for_function(
-        "document.querySelectorAll('.swarm-player[data-state=ready]').length === 2"
-    )
+    players = [Player(name, "", player_fragment(tracks, label=name)) for name in ("One", "Two")]
+    page = ready(visit(Page("Both", players).html()))
+    page.locator(".swarm-player[data-state=ready]").nth(1).wait_for()
     page.get_by_role("group", name="Two").get_by_role("button").click()
-    page.wait_for_function("document.querySelectorAll('.swarm-player')[1].player.frame > 0")
+    ends = time.monotonic() + 60
+    while frame_of(page, 1) == 0:
+        assert time.monotonic() < ends
+        page.wait_for_timeout(20)
     assert frame_of(page, 0) == 0
     assert not playing(page, 0)
     assert playing(page, 1)
@@ -190,7 +192,9 @@ def test_several_stand_on_one_page(visit, tracks):
 def test_it_fits_a_telephone_light_and_dark(visit, tracks, scheme):
     narrow = {"width": 420, "height": 800}
     page = ready(
-        visit(player_html(tracks, tracks, autoplay=False), viewport=narrow, color_scheme=scheme)
+        visit(
+            player_page(tracks, tracks, autoplay=False).html(), viewport=narrow, color_scheme=scheme
+        )
     )
     assert page.evaluate("document.documentElement.scrollWidth") == 420
     ground, text = page.evaluate(
@@ -208,7 +212,7 @@ def test_it_fits_a_telephone_light_and_dark(visit, tracks, scheme):
 
 def test_a_browser_that_cannot_unpack_says_so(browser, tmp_path, tracks):
     file = tmp_path / "page.html"
-    file.write_text(player_html(tracks), encoding="utf-8")
+    file.write_text(player_page(tracks).html(), encoding="utf-8")
     context = browser.new_context()
     context.add_init_script("delete window.DecompressionStream")
     page = context.new_page()

@@ -1,11 +1,10 @@
-"""What a run was made of: data, model, provenance, as labels with their text."""
+"""Metadata of a run: data, model, settings and provenance, as labels with their text."""
 
 from collections import Counter
+from typing import Any
 
-import numpy as np
 import xarray as xr
 
-from swarmssm.analysis.report.wording import setting_words
 from swarmssm.analysis.scoring.evaluation import Evaluation
 from swarmssm.analysis.scoring.table import NOTHING
 from swarmssm.analysis.scoring.table import format_number as number
@@ -17,15 +16,15 @@ from swarmssm.models.registry import MODELS
 from swarmssm.tracks.summary import summarize
 
 __all__ = [
-    "data_facts",
-    "model_facts",
+    "data_metadata",
+    "model_metadata",
     "parameter_rows",
-    "presence_sentence",
-    "provenance_facts",
-    "scoring_facts",
+    "provenance_metadata",
+    "scoring_metadata",
+    "setting_words",
 ]
 
-Facts = list[tuple[str, str]]
+Metadata = list[tuple[str, str]]
 
 #: Attributes of tracks that say where they come from, in this order, with their labels.
 ORIGIN = {
@@ -40,11 +39,11 @@ ORIGIN = {
 MOST_ROWS = 20
 
 
-def data_facts(fit: Fit, tracks: xr.Dataset, part: str, what: str = "scored part") -> Facts:
-    """Return what was recorded, which part of it was looked at, and to whom it is owed."""
+def data_metadata(fit: Fit, tracks: xr.Dataset, part: str, what: str = "scored part") -> Metadata:
+    """Return what was recorded, which part of it was used, and whose it is."""
     found = summarize(tracks)
     unit = found["unit"]
-    facts = [
+    rows = [
         ("individuals", str(found["individuals"])),
         ("trials", str(found["trials"])),
         (
@@ -66,46 +65,29 @@ def data_facts(fit: Fit, tracks: xr.Dataset, part: str, what: str = "scored part
             " ".join(filter(None, (found["source_software"], found["source_file"]))) or "not given",
         ),
     ]
-    facts += [
+    rows += [
         (label, str(tracks.attrs[name])) for name, label in ORIGIN.items() if tracks.attrs.get(name)
     ]
-    return facts
+    return rows
 
 
-def presence_sentence(tracks: xr.Dataset) -> str:
-    """Return how complete the recording is, and whose it is least."""
-    found = summarize(tracks)
-    text = f"{100 * found['observed']:.1f} % of individuals and frames are tracked"
-    if not found["gaps"]:
-        return f"{text}; there is no gap."
-    tracked = tracks["position"].notnull().all("space")
-    share = tracked.mean([name for name in tracked.dims if name != "individual"])
-    least = int(np.argmin(share.to_numpy()))
-    name = str(tracks["individual"].to_numpy()[least])
-    return (
-        f"{text}, with {found['gaps']} gaps, the longest of {found['longest_gap']} frames; "
-        f"individual {name} is tracked least, {100 * float(share[least]):.0f} %. What lies in a "
-        "gap is inferred by a state-space model, and left out by any other."
-    )
-
-
-def model_facts(fit: Fit) -> Facts:
+def model_metadata(fit: Fit) -> Metadata:
     """Return model, guide and what they were fitted with."""
     settings = fit.settings
-    facts = [
+    rows = [
         ("model", _described(settings.model)),
         ("guide", _described(settings.guide)),
         *_emission_words(fit),
-        ("learned numbers", str(fit.num_parameters)),
+        ("parameters", str(fit.num_parameters)),
     ]
-    asked: Facts = []
-    rest: Facts = []
+    asked: Metadata = []
+    rest: Metadata = []
     for name, value in settings.model_dump(mode="json").items():
         if name in ("model", "guide") or value is None or value == {}:
             continue
         told = (name.replace("_", " "), setting_words(value))
         (asked if isinstance(value, dict) else rest).append(told)
-    return [*facts, *asked, ("further settings", "; ".join(" ".join(one) for one in rest))]
+    return [*rows, *asked, ("further settings", "; ".join(" ".join(one) for one in rest))]
 
 
 def parameter_rows(fit: Fit) -> list[dict[str, str]]:
@@ -136,24 +118,24 @@ def _priors(fit: Fit) -> dict[str, str]:
     return {full.rpartition(".")[2]: text for full, text in texts.items()} | texts
 
 
-def provenance_facts(fit: Fit) -> Facts:
+def provenance_metadata(fit: Fit) -> Metadata:
     """Return versions, data and digests."""
     provenance = fit.provenance
-    facts: Facts = []
+    rows: Metadata = []
     if provenance.get("created"):
-        facts.append(("fitted", str(provenance["created"])))
+        rows.append(("fitted", str(provenance["created"])))
     versions = provenance.get("versions") or {}
     if versions:
-        facts.append(("versions", ", ".join(f"{k} {v}" for k, v in versions.items())))
+        rows.append(("versions", ", ".join(f"{k} {v}" for k, v in versions.items())))
     if provenance.get("platform"):
-        facts.append(("platform", str(provenance["platform"])))
+        rows.append(("platform", str(provenance["platform"])))
     data = provenance.get("data") or {}
-    facts += [(f"data: {k}", str(v)) for k, v in data.items() if v]
-    facts += [(f"sha256 of {k}", str(v)) for k, v in (provenance.get("files") or {}).items()]
-    return facts
+    rows += [(f"data: {k}", str(v)) for k, v in data.items() if v]
+    rows += [(f"sha256 of {k}", str(v)) for k, v in (provenance.get("files") or {}).items()]
+    return rows
 
 
-def scoring_facts(evaluation: Evaluation) -> Facts:
+def scoring_metadata(evaluation: Evaluation) -> Metadata:
     """Return how a fit was scored."""
     shown = (
         "part",
@@ -181,7 +163,7 @@ def _described(name: str) -> str:
     return name if entry is None else f"{name}. {entry.description}"
 
 
-def _emission_words(fit: Fit) -> Facts:
+def _emission_words(fit: Fit) -> Metadata:
     """Return how a state-space model sees the states, if that is known."""
     model = fit.model
     if not isinstance(model, StateSpaceModel):
@@ -209,3 +191,16 @@ def _part_words(fit: Fit, part: str) -> str:
     frames = sum(s.stop - s.start for s in fit.split.part(part))
     segments = len(fit.split.part(part))
     return f"{part}: {frames} frames of {segments} trial{'s' * (segments > 1)}"
+
+
+def setting_words(value: Any) -> str:
+    """Return a setting as text."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {setting_words(one)}" for name, one in value.items())
+    if isinstance(value, list | tuple):
+        return ", ".join(setting_words(one) for one in value)
+    if isinstance(value, float):
+        return f"{value:g}"
+    return str(value)

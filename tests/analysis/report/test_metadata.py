@@ -3,7 +3,7 @@
 import pytest
 
 from swarmssm import inference, simulate
-from swarmssm.analysis.report.facts import model_facts
+from swarmssm.analysis.report.metadata import model_metadata
 
 
 @pytest.mark.parametrize(
@@ -18,4 +18,4 @@ def test_how_the_states_are_seen(model, options, told):
     tracks = simulate.simulate_boids(3, 12, 3, seed=0)
     guide = "auto" if options or model == "graph-vae" else "markov"
     fit = inference.fit(model, tracks, guide=guide, model_options=options, steps=1, window=4)
-    assert dict(model_facts(fit)).get("observations") == told
+    assert dict(model_metadata(fit)).get("observations") == told
