@@ -42,6 +42,8 @@ def planted_scores(**differences: tuple[float, ...]) -> xr.Dataset:
         },
         {
             "model": names,
+            "title": ("model", [name.replace("t-v", "t v") for name in names]),
+            "fitted": ("model", [name in MODELS[:2] for name in names]),
             "origin": np.arange(60),
             "level": [0.9],
             "horizon": list(HORIZONS),
