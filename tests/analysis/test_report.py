@@ -266,7 +266,9 @@ def test_the_first_screen_has_the_answer_and_plays(visit, whole, scheme, size):
 
 
 def test_checks_that_fail_are_counted():
-    checks = xr.Dataset({"verdict": ("statistic", ["mismatch", "mismatch", "consistent", "unknown"])})
+    checks = xr.Dataset(
+        {"verdict": ("statistic", ["mismatch", "mismatch", "consistent", "unknown"])}
+    )
     assert "in 2 of 3 statistics" in trust_verdict(None, checks)
     assert "not known" in trust_verdict(None)
 
