@@ -52,7 +52,7 @@ def attention(kind: str, seed: int) -> np.ndarray:
     if kind == "leader":
         return planted_attention(NUMBER, leader=place, strength=STRENGTH)
     if kind == "loner":
-        return planted_attention(NUMBER, loner=place)
+        return planted_attention(NUMBER, isolated=place)
     weights = planted_attention(NUMBER)
     if kind == "two":
         weights[:, [place, (place + 1) % NUMBER]] = STRENGTH

@@ -50,7 +50,7 @@ def check_output(path: Path, *, overwrite: bool = False) -> Path:
         if path.exists() and not overwrite:
             raise InputError(
                 f"{path}: exists already and was left as it is. Choose another name or add "
-                "--overwrite."
+                "overwrite=True."
             )
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}). Name another.") from error

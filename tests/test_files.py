@@ -50,7 +50,7 @@ def test_a_write_puts_the_whole_new_file_in_place(tmp_path: Path):
 
 
 def test_a_write_may_replace_only_when_told(old: Path):
-    with pytest.raises(InputError, match=r"result.csv: exists already .* --overwrite"):  # noqa: SIM117
+    with pytest.raises(InputError, match=r"result.csv: exists already .* overwrite=True"):  # noqa: SIM117
         with write_beside(old):
             pytest.fail("the work was done before the refusal")
     with write_beside(old, overwrite=True) as temporary:

@@ -1,6 +1,7 @@
 """The command as a whole: subcommands, exit statuses, and errors as sentences."""
 
 import os
+import re
 import sys
 import traceback
 import warnings
@@ -18,6 +19,7 @@ from swarmssm.cli.checking import check
 from swarmssm.cli.comparing import compare
 from swarmssm.cli.demo import demo
 from swarmssm.cli.fitting import fit
+from swarmssm.cli.models import models
 from swarmssm.cli.reporting import report
 from swarmssm.cli.running import evaluate, forecast, rollout
 from swarmssm.cli.simulating import simulate
@@ -50,6 +52,7 @@ app.command("demo")(demo)
 app.add_typer(simulate, name="simulate")
 app.command("import")(import_tracks)
 app.command("info")(info)
+app.command("models")(models)
 app.command("fit")(fit)
 app.command("evaluate")(evaluate)
 app.command("forecast")(forecast)
@@ -111,7 +114,25 @@ def main() -> None:
         sys.exit(1)
 
 
+#: Arguments that errors of the library name as in Python, and the command as options.
+ARGUMENT = re.compile(
+    r"\b(allow_pickle|centroid|data|edges|empty|fps|graph|overwrite|resume|trust_code|video)="
+    r"(?:True|\"([^\"]*)\"|(\.\.\.|[\d.]+))"
+)
+
+
+def as_options(sentence: str) -> str:
+    """Write the arguments that a sentence names as options: ``fps=25`` as ``--fps 25``."""
+
+    def option(found: re.Match[str]) -> str:
+        value = (found[2] or found[3] or "").removeprefix("...")
+        return f"--{found[1].replace('_', '-')} {value}".rstrip()
+
+    return ARGUMENT.sub(option, sentence)
+
+
 def _fail(sentence: str, status: int) -> None:
     sys.stdout.flush()
+    sentence = as_options(sentence)
     typer.echo(f"swarmssm: {sentence}", err=True)
     sys.exit(status)

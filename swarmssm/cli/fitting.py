@@ -26,11 +26,14 @@ if TYPE_CHECKING:
 
 __all__ = ["fit"]
 
+#: Panels of the help.
+OPTIMISER, EDGES, DATA = "Optimiser", "Inferred edges", "How data are prepared"
 #: Edges that are inferred.
 RELATIONAL = ("relational", "dynamic-relational")
 
 
 def fit(
+    context: typer.Context,
     file: File,
     out: Annotated[Path, typer.Option(help="Run folder to write.")],
     model: Annotated[
@@ -39,10 +42,17 @@ def fit(
     guide: Annotated[
         str,
         typer.Option(
-            help="Name of a guide, or module:attribute of your own. Default: the model's usual one."
+            help="Name of a guide, or module:attribute of your own. Default: the model's own."
         ),
     ] = "auto",
     prior: Priors = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="TOML file of settings, by their names in Python; options given here override it.",
+        ),
+    ] = None,
     steps: Annotated[
         int | None, typer.Option(help="Steps of the optimiser; the last epoch may be partial.")
     ] = None,
@@ -50,14 +60,24 @@ def fit(
         int | None, typer.Option(help="Passes over the training part. Default: the model's own.")
     ] = None,
     seed: Seed = 0,
-    lr: Annotated[float, typer.Option(help="Learning rate of Adam.")] = 0.005,
-    schedule: Annotated[str, typer.Option(help="Learning rate: cosine or constant.")] = "cosine",
+    lr: Annotated[
+        float, typer.Option(rich_help_panel=OPTIMISER, help="Learning rate of Adam.")
+    ] = 0.005,
+    schedule: Annotated[
+        str, typer.Option(rich_help_panel=OPTIMISER, help="Learning rate: cosine or constant.")
+    ] = "cosine",
     window: Annotated[
         int | None,
-        typer.Option(help="Frames in a window; 0 for whole trials. Default: the guide's own."),
+        typer.Option(
+            rich_help_panel=OPTIMISER,
+            help="Frames in a window; 0 for whole trials. Default: the guide's own.",
+        ),
     ] = None,
     batch_windows: Annotated[
-        int | None, typer.Option(help="Windows in a mini-batch; 0 for all. Default: a tenth.")
+        int | None,
+        typer.Option(
+            rich_help_panel=OPTIMISER, help="Windows in a mini-batch; 0 for all. Default: a tenth."
+        ),
     ] = None,
     graph: Annotated[
         str,
@@ -68,38 +88,57 @@ def fit(
     edges: Annotated[
         str,
         typer.Option(
-            help="auto (the model's own), relational, dynamic-relational, observed, or a rule."
+            rich_help_panel=EDGES,
+            help="auto (the model's own), relational, dynamic-relational, observed, or a rule.",
         ),
     ] = "auto",
     edge_types: Annotated[
         int | None,
-        typer.Option(help="Types of relational edges, the first being none.  [default: 2]", min=1),
+        typer.Option(
+            rich_help_panel=EDGES,
+            help="Types of relational edges, the first being none.  [default: 2]",
+            min=1,
+        ),
     ] = None,
     edge_option: Annotated[
         list[str] | None,
         typer.Option(
+            rich_help_panel=EDGES,
             metavar="NAME=VALUE",
             help="Of relational edges, for instance sparsity=0.8; repeatable.",
         ),
     ] = None,
-    law: Annotated[
+    transition_from: Annotated[
         Path | None,
         typer.Option(
+            rich_help_panel=EDGES,
             metavar="RUN",
-            help="Hold the law of motion that this run of the same model found, and learn the "
+            help="Fix the transition at what this run of the same model found, and learn the "
             "edges alone; goes with relational --edges.",
         ),
     ] = None,
-    velocity: Annotated[str, typer.Option(help="auto, difference or kalman.")] = "auto",
-    scaler: Annotated[
-        str, typer.Option(help="auto (the model's own), minmax, isotropic or none.")
+    velocity: Annotated[
+        str, typer.Option(rich_help_panel=DATA, help="auto, difference or kalman.")
     ] = "auto",
-    split_by: Annotated[str, typer.Option(help="auto, time or trial.")] = "auto",
+    scaler: Annotated[
+        str,
+        typer.Option(
+            rich_help_panel=DATA, help="auto (the model's own), minmax, isotropic or none."
+        ),
+    ] = "auto",
+    split_by: Annotated[
+        str, typer.Option(rich_help_panel=DATA, help="auto, time or trial.")
+    ] = "auto",
     patience: Annotated[
         int | None,
-        typer.Option(help="Stop after so many rows of the history without a better validation."),
+        typer.Option(
+            rich_help_panel=OPTIMISER,
+            help="Stop after so many rows of the history without a better validation.",
+        ),
     ] = None,
-    device: Annotated[str, typer.Option(help="cpu, cuda or auto.")] = "cpu",
+    device: Annotated[
+        str, typer.Option(rich_help_panel=OPTIMISER, help="cpu, cuda or auto.")
+    ] = "cpu",
     model_option: ConstructorOptions = None,
     guide_option: ConstructorOptions = None,
     settings: FitSettings = None,
@@ -110,6 +149,7 @@ def fit(
 ) -> None:
     """Fit a model to tracks by variational inference, into a run folder."""
     from swarmssm import inference, io
+    from swarmssm.inference.settings import read_config
 
     given: dict[str, Any] = {
         "steps": steps,
@@ -130,8 +170,11 @@ def fit(
     for name, value in (("window", window), ("batch_windows", batch_windows)):
         if value is not None:
             given[name] = value or None
-    if law is not None:
-        _hold(law, model, edges, given)
+    if config is not None:
+        given = _with_config(read_config(config), given, context)
+        model, guide = given.pop("model", model), given.pop("guide", guide)
+    if transition_from is not None:
+        _hold(transition_from, model, edges, given)
     tracks = io.read(file)
     _warn_of_exact_tracks(file, tracks, model, given.get("model_options") or {})
     try:
@@ -154,6 +197,27 @@ def fit(
         ) from None
     _print_fit(fitted)
     say(f"{out}: written. Next: swarmssm evaluate {out} {file}")
+
+
+def _with_config(
+    settings: dict[str, Any], given: dict[str, Any], context: typer.Context
+) -> dict[str, Any]:
+    """Return the settings of a file with those of the command line in their place."""
+
+    def is_said(name: str) -> bool:
+        source = context.get_parameter_source(name)
+        return source is not None and source.name == "COMMANDLINE"
+
+    merged = dict(settings)
+    for name, value in given.items():
+        if isinstance(value, dict):
+            merged[name] = {**settings.get(name, {}), **value}
+        elif name not in settings or is_said(name) or name not in context.params:
+            merged[name] = value
+    for name in ("model", "guide"):
+        if is_said(name):
+            merged[name] = context.params[name]
+    return merged
 
 
 def _warn_of_exact_tracks(
@@ -198,19 +262,19 @@ def _print_fit(fitted: "Fit") -> None:
     say(fitted.convergence.verdict)
 
 
-def _hold(law: Path, model: str, edges: str, given: dict[str, Any]) -> None:
-    """Put the law of motion of a run into the settings of a fit."""
+def _hold(run: Path, model: str, edges: str, given: dict[str, Any]) -> None:
+    """Put the transition of a run into the settings of a fit."""
     from swarmssm.inference import Fit, fixed_transition
 
     if edges not in RELATIONAL:
         raise InputError(
-            "--law: it holds all but the edges, which are then to be inferred; add "
+            "--transition-from: it fixes all but the edges, which are then to be inferred; add "
             f"--edges {' or '.join(RELATIONAL)}."
         )
-    found = Fit.load(law)
+    found = Fit.load(run)
     if found.settings.model != model:
         raise InputError(
-            f"--law: {law} is a run of {found.settings.model}; choose --model "
+            f"--transition-from: {run} is a run of {found.settings.model}; choose --model "
             f"{found.settings.model}, or a run of {model}."
         )
     given["model_options"] = {**found.settings.model_options, **given["model_options"]}

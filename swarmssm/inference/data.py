@@ -180,7 +180,7 @@ def _prepared(tracks: xr.Dataset, preparation: Preparation) -> Prepared:
         if preparation.rule is None:
             raise InputError(
                 "tracks: they carry no adjacency, and the model was fitted on a graph that was "
-                "given with the data. Add it, or fit with a rule (--graph)."
+                'given with the data. Add it, or fit with a rule (graph="radius:2.5").'
             )
         tracks = add_adjacency(tracks, preparation.rule, overwrite=True)
     states = states_of(tracks)

@@ -146,7 +146,7 @@ class Fit(Run):
         model = self.model
         if not isinstance(model, StateSpaceModel) or not isinstance(model.edges, InferredEdges):
             raise InputError(
-                "edges: those of this run are not inferred; fit one with --edges relational or "
+                'edges: those of this run are not inferred; fit one with edges="relational" or '
                 "dynamic-relational."
             )
         prepared = self.prepare(tracks)

@@ -338,7 +338,7 @@ def _working_folder(
     if not resume:
         shutil.rmtree(working, ignore_errors=True)
     elif (folder / "provenance.json").exists() and working == folder:
-        hint = " Add --overwrite to go on with the one that is to replace it."
+        hint = " Add overwrite=True to go on with the one that is to replace it."
         raise InputError(
             f"{folder}: this fit is finished; there is nothing to resume."
             + (hint if beside.exists() else "")

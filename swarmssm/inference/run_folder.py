@@ -58,6 +58,8 @@ __all__ = [
 
 CONFIG, WEIGHTS, HISTORY = "config.json", "weights.safetensors", "history.csv"
 PROVENANCE, CHECKPOINT = "provenance.json", "checkpoint"
+#: Of what a run folder holds, and how its settings and parameters are called.
+LAYOUT = 2
 
 
 @dataclass(frozen=True)
@@ -240,7 +242,7 @@ def check_run_output(folder: Path, *, overwrite: bool) -> None:
     if not overwrite:
         raise InputError(
             f"{folder}: exists already and was left as it is. Choose another name, add "
-            "--overwrite, or --resume to go on with an interrupted fit."
+            "overwrite=True, or resume=True to go on with an interrupted fit."
         )
     if not _is_run(folder):
         raise InputError(
@@ -295,6 +297,7 @@ def write_config(run: Run, folder: Path) -> None:
     """Write what decides the fit; it is there before training starts."""
     preparation = run.preparation
     config = {
+        "layout": LAYOUT,
         "settings": run.settings.model_dump(mode="json"),
         "preparation": {
             "scaler": {
@@ -347,7 +350,7 @@ def load_run(folder: Path, *, trust_code: bool = False) -> Run:
     if not (folder / PROVENANCE).is_file():
         if (folder / CHECKPOINT).is_dir():
             raise InputError(
-                f"{folder}: this fit is not finished. Go on with swarmssm fit ... --resume."
+                f"{folder}: this fit is not finished. Go on with the same fit and resume=True."
             )
         raise InputError(f"{folder}: it is not a run folder; {PROVENANCE} is missing.")
     provenance = read_json(folder / PROVENANCE)
@@ -364,12 +367,17 @@ def load_run(folder: Path, *, trust_code: bool = False) -> Run:
                 "digest). Fit again, or copy it back."
             )
     config = read_json(folder / CONFIG)
+    if config.get("layout", 1) != LAYOUT:
+        raise InputError(
+            f"{folder}: this run was written by another version of swarmssm (layout "
+            f"{config.get('layout', 1)}, and this one reads {LAYOUT}). Fit again."
+        )
     settings = settings_from(_table(config, "settings", folder), str(folder / CONFIG))
     for name, ready in ((settings.model, MODELS), (settings.guide, GUIDES)):
         if name not in ready and ":" in name and not trust_code:
             raise InputError(
                 f"{folder}: the run names the code {name}, which loading it would execute. If you "
-                "trust that code, say so (--trust-code)."
+                "trust that code, say so (trust_code=True)."
             )
     try:
         preparation = _preparation(_table(config, "preparation", folder))

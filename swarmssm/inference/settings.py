@@ -1,6 +1,9 @@
 """Everything that decides a fit, in one validated and storable object."""
 
-from collections.abc import Mapping
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -9,7 +12,7 @@ import pydantic
 from swarmssm.errors import InputError
 from swarmssm.graphs import GraphRule
 
-__all__ = ["FitSettings", "settings_from"]
+__all__ = ["FitSettings", "read_config", "settings_from"]
 
 
 def _plain(value: Any) -> Any:
@@ -153,6 +156,44 @@ class FitSettings(pydantic.BaseModel):
         if value not in ("auto", "data"):
             GraphRule.parse(value)
         return value
+
+
+def read_config(path: Path) -> dict[str, Any]:
+    """Read settings from a TOML file, in which 0 windows or frames mean all.
+
+    Raises
+    ------
+    InputError
+        Naming the file and the line, if it cannot be read, a key is unknown or a value is wrong.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+        values = tomllib.loads(text)
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: it cannot be read ({error}).") from error
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: it is not TOML: {error}.") from error
+    for name in ("window", "batch_windows"):
+        if values.get(name) == 0:
+            values[name] = None
+    try:
+        settings_from(values)
+    except InputError as error:
+        cause = error.__cause__
+        loc = cause.errors()[0]["loc"] if isinstance(cause, pydantic.ValidationError) else ()
+        raise InputError(f"{path}, line {_line_of(loc, text)}: {error}") from error
+    return values
+
+
+def _line_of(place: Sequence[int | str], text: str) -> int:
+    """Return the line of a file at which a setting stands, counted from 1."""
+    lines = text.splitlines()
+    found = 0
+    for name in place[:2]:
+        key = rf"\s*(?:\[\s*)?[\"']?{re.escape(str(name))}[\"']?\s*[]=.]"
+        below = [n for n in range(found, len(lines)) if re.match(key, lines[n])]
+        found = below[0] if below else found
+    return found + 1
 
 
 def settings_from(values: Mapping[str, Any], where: str = "") -> FitSettings:

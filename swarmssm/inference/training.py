@@ -172,7 +172,7 @@ def train(
         except (KeyError, TypeError, ValueError, RuntimeError) as error:
             raise InputError(
                 f"{checkpoint_folder}: the checkpoint does not fit model and guide; has their code "
-                "changed? Start anew (--overwrite)."
+                "changed? Start anew (overwrite=True)."
             ) from error
     last_saved = run.step
     while not run.is_over():

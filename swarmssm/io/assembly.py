@@ -147,7 +147,7 @@ def settle_empty(tracks: xr.Dataset, policy: EmptyPolicy, where: object) -> xr.D
         many = len(names) > 1
         raise InputError(
             f"{where}: individual{'s' * many} {named_list(names)} {'have' if many else 'has'} no "
-            "position in any frame. Take them out of the file, or add --empty drop."
+            'position in any frame. Take them out of the file, or add empty="drop".'
         )
     chosen = {dim: seen for dim in ("individual", "neighbor") if dim in tracks.dims}
     left = tracks.isel(chosen)

@@ -114,14 +114,14 @@ def clock_of(
     if fps is None and stated is not None and measured is not None and not _agree(stated, measured):
         raise InputError(
             f"{where}: it says {stated:g} frames per second, but its times say {measured:g}. "
-            "Give the right one with --fps."
+            "Give the right one with fps=..."
         )
     if fps is not None:
         rate, source = check_fps(fps, "fps"), "argument"
     elif known is not None:
         rate, source = known, "file" if stated is not None else "time"
     else:
-        raise InputError(f"{where}: the file does not tell its frames per second. Add --fps.")
+        raise InputError(f"{where}: the file does not tell its frames per second. Add fps=...")
     attrs: dict[str, Any] = {"fps_source": source}
     if fps is not None and known is not None and not _agree(rate, known):
         attrs["fps_in_file"] = known

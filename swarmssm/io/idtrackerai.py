@@ -98,7 +98,7 @@ def read_idtrackerai(
         if not allow_pickle:
             raise InputError(
                 f"{file}: this is a pickle, and reading one can run code hidden in it. Export h5 "
-                "or csv instead (trajectories_formats in idtracker.ai), or add --allow-pickle."
+                "or csv instead (trajectories_formats in idtracker.ai), or add allow_pickle=True."
             )
         return _tracks_of(file, load_pickled_dict(file), fps)
     if start.startswith(PARQUET_MAGIC):

@@ -168,7 +168,7 @@ def read_netcdf(
         dataset.attrs.setdefault("source_file", place.name)
         if dataset.attrs.get("fps") is None and _counts_frames(dataset):
             raise InputError(
-                f"{place}: its time is in frames, and it does not tell their rate. Add --fps."
+                f"{place}: its time is in frames, and it does not tell their rate. Add fps=..."
             )
         return validate_tracks(dataset, where=str(place))
 

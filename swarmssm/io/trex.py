@@ -95,7 +95,7 @@ def read_trex(
     if centroid == "head" and all(np.isnan(file.position).all() for file in files):
         raise InputError(
             f"{place}: no head position is known, because TRex had no posture. "
-            "Leave out --centroid head, or export with posture."
+            'Leave out centroid="head", or export with posture.'
         )
     tracks, files = tracks_of(files, place, fps=fps, unit="cm", centroid=centroid or "")
     if visual_field and place.is_dir():

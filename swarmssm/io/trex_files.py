@@ -77,7 +77,7 @@ def of_one_video(paths: Sequence[Path], folder: Path, video: str | None) -> list
         each = named_list([f"{name} ({counts[name]} files)" for name in names])
         raise InputError(
             f"{folder}: it holds the tracks of {len(names)} recordings, {each}. "
-            "Name one of them with --video."
+            "Name one of them with video=..."
         )
     if video is not None and video not in names:
         raise InputError(

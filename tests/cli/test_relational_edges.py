@@ -60,7 +60,8 @@ def test_edges_are_learned_under_a_law_that_is_held(swarmssm, flock_file):
     with open("law/config.json") as file:
         options = json.load(file)["settings"]["model_options"]
     done = swarmssm(
-        "fit", flock_file, "--model", "boids", "--law", "law", "--prior", "wall_gain=0.5",
+        "fit", flock_file, "--model", "boids", "--transition-from", "law",
+        "--prior", "wall_gain=0.5",
         "--edges", "dynamic-relational", "--edge-option", "hidden=4", "--steps", 2,
         "--window", 10, "--out", "edges",
     )  # fmt: skip
@@ -83,12 +84,12 @@ def test_edges_are_learned_under_a_law_that_is_held(swarmssm, flock_file):
     [
         (("--model", "boids"), "add --edges relational or dynamic-relational"),
         (("--model", "linear", "--edges", "relational"), "law is a run of boids; choose --model"),
-        (("--model", "boids", "--edges", "relational", "--law", "nowhere"), "nowhere"),
+        (("--model", "boids", "--edges", "relational", "--transition-from", "nowhere"), "nowhere"),
     ],
 )
 def test_a_law_that_cannot_be_held_is_told(swarmssm, flock_file, options, said):
     law = ("--model", "boids", "--graph", "radius:3", "--out", "law")
     assert fit_of(swarmssm, flock_file, *law).status == 0
-    done = fit_of(swarmssm, flock_file, "--law", "law", *options, "--out", "run")
+    done = fit_of(swarmssm, flock_file, "--transition-from", "law", *options, "--out", "run")
     assert done.status == 2
     assert said in " ".join(done.err.split())

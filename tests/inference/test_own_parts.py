@@ -123,7 +123,7 @@ def test_options_reach_them(folder, swarm):
 
 def test_a_run_of_them_is_saved_and_loaded_with_trust(folder, swarm):
     own = fit(tracks=swarm, steps=2, out=folder / "run", **OWN)
-    with pytest.raises(InputError, match=r"names the code shift:Shift.*\(--trust-code\)"):
+    with pytest.raises(InputError, match=r"names the code shift:Shift.*\(trust_code=True\)"):
         Fit.load(folder / "run")
     again = Fit.load(folder / "run", trust_code=True)
     xr.testing.assert_identical(

@@ -361,7 +361,7 @@ def test_the_collapsed_bound_reaches_the_encoder():
 
 
 def test_runs_without_inferred_edges_say_so(fitted, swarm):
-    with pytest.raises(InputError, match="--edges relational"):
+    with pytest.raises(InputError, match='edges="relational"'):
         fitted.edge_probabilities(swarm)
 
 

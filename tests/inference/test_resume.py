@@ -145,7 +145,7 @@ def test_a_killed_fit_ends_as_if_nothing_had_happened(place, path, tracks, whole
     assert killed(**told, hang_in_checkpoint=4) == "checkpoint"
     assert read_checkpoint(out / "checkpoint").state["epoch"] == 6
     assert any(name.endswith(".part") for name in os.listdir(out / "checkpoint"))
-    with pytest.raises(InputError, match=r"this fit is not finished. Go on with .*--resume"):
+    with pytest.raises(InputError, match=r"this fit is not finished. Go on with .*resume=True"):
         Fit.load(out)
     fit(tracks=tracks, out=out, resume=True, **SETTINGS)
     assert_same_run(whole, out)
@@ -162,7 +162,7 @@ def test_killed_while_it_overwrites(place, path, tracks, whole):
     assert killed(**told, hang_in_epoch=7) == "epoch"
     assert {name: (out / name).read_bytes() for name in os.listdir(out)} == before
     assert Fit.load(out).settings.seed == 3
-    with pytest.raises(InputError, match=r"finished; there is nothing to resume. Add --overwrite"):
+    with pytest.raises(InputError, match=r"finished; there is nothing to resume. Add overwrite"):
         fit(tracks=tracks, out=out, resume=True, **other)
     new = fit(tracks=tracks, out=out, resume=True, overwrite=True, **other)
     assert new.settings.seed == Fit.load(out).settings.seed == 4
@@ -244,7 +244,7 @@ def test_what_cannot_be_resumed_is_said(place, tracks, whole, tmp_path):
         fit(tracks=tracks, out=whole, resume=True, **SETTINGS)
     with pytest.raises(InputError, match="resume: there is nothing to resume without out"):
         fit(tracks=tracks, resume=True, **SETTINGS)
-    with pytest.raises(InputError, match=r"exists already and was left as it is.*or --resume"):
+    with pytest.raises(InputError, match=r"exists already and was left as it is.*or resume=True"):
         fit(tracks=tracks, out=whole, **SETTINGS)
     # Somebody else's folder, even one with a config.json, is not written into.
     theirs = tmp_path / "theirs"

@@ -82,7 +82,7 @@ def test_one_trial_of_states_in_three_dimensions(tmp_path):
 @pytest.mark.parametrize("params", ["not json", '"text"', '{"dt": "fast"}', '{"a": 1}'])
 def test_settings_without_a_step(tmp_path, params):
     path = save(tmp_path, xy=MOTION, params=params)
-    with pytest.raises(InputError, match="Add --fps"):
+    with pytest.raises(InputError, match="Add fps="):
         read(path)
     assert read(path, fps=3).attrs["params"] == params
 
@@ -92,7 +92,7 @@ def test_npy(tmp_path):
     np.testing.assert_array_equal(positions(read(tmp_path / "a.npy", fps=5)), MOTION)
     np.save(tmp_path / "a.npy", np.asfortranarray(MOTION.astype(">f4")))
     np.testing.assert_array_equal(positions(read(tmp_path / "a.npy", fps=5)), MOTION)
-    with pytest.raises(InputError, match="Add --fps"):
+    with pytest.raises(InputError, match="Add fps="):
         read(tmp_path / "a.npy")
 
 

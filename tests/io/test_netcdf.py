@@ -183,7 +183,7 @@ def test_movement_keypoints(tmp_path):
 
 def test_movement_in_frames(tmp_path):
     movement_dataset(plural=True, seconds=False).to_netcdf(tmp_path / "m.nc", engine="h5netcdf")
-    with pytest.raises(InputError, match=r"its time is in frames.*Add --fps"):
+    with pytest.raises(InputError, match=r"its time is in frames.*Add fps="):
         read(tmp_path / "m.nc")
     tracks = read(tmp_path / "m.nc", fps=50)
     np.testing.assert_allclose(tracks["time"], np.arange(6) / 50)

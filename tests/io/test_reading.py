@@ -167,7 +167,7 @@ def test_individuals_without_any_position(tmp_path):
     motion[:, [0, 2]] = np.nan
     edges = np.zeros((6, 3, 3))
     np.savez(tmp_path / "t.npz", xy=motion, fps=5, id=["a", "b", "c"], A=edges)
-    with pytest.raises(InputError, match=r"individuals a, c have no position .* --empty drop"):
+    with pytest.raises(InputError, match=r'individuals a, c have no position .* empty="drop"'):
         read(tmp_path / "t.npz")
     assert read(tmp_path / "t.npz", empty="keep").sizes["individual"] == 3
     tracks = read(tmp_path / "t.npz", empty="drop")

@@ -57,7 +57,7 @@ def test_missing_rules_over_a_position_that_was_filled_in(tmp_path):
 def test_optional_arrays_may_be_absent(tmp_path):
     bare = {key: trex_arrays(0)[key] for key in ("X#wcentroid", "Y#wcentroid", "frame")}
     np.savez(tmp_path / "v_fish0.npz", **bare)
-    with pytest.raises(InputError, match=r"does not tell its frames per second. Add --fps"):
+    with pytest.raises(InputError, match=r"does not tell its frames per second. Add fps="):
         read(tmp_path)
     tracks = read(tmp_path, fps=50)
     assert tracks.attrs["fps"] == 50

@@ -1,6 +1,7 @@
 """How all figures look: one colour a method everywhere, readable to the colour-blind."""
 
 import inspect
+import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -85,10 +86,20 @@ def individual_colours(count: int) -> list[str]:
     return [INDIVIDUALS[index % len(INDIVIDUALS)] for index in range(count)]
 
 
+def _new_figure(size: tuple[float, float]) -> Figure:
+    """Return a figure without touching pyplot, but in a notebook one that the cell shows."""
+    if "inline" in os.environ.get("MPLBACKEND", ""):
+        import matplotlib.pyplot as plt
+
+        if plt.isinteractive():
+            return plt.figure(figsize=size, layout="constrained")
+    return Figure(figsize=size, layout="constrained")
+
+
 def new_axes(ax: Axes | None, size: tuple[float, float] = (6.4, 4.1)) -> tuple[Figure, Axes]:
-    """Return the given axes with their figure, or new ones without touching pyplot."""
+    """Return the given axes with their figure, or new ones."""
     if ax is None:
-        figure = Figure(figsize=size, layout="constrained")
+        figure = _new_figure(size)
         return figure, figure.add_subplot()
     return figure_of(ax), ax
 
@@ -102,7 +113,7 @@ def new_grid(
 ) -> tuple[Figure, npt.NDArray[Any]]:
     """Return the given axes ``(rows, columns)`` with their figure, or new ones."""
     if axes is None:
-        figure = Figure(figsize=size, layout="constrained")
+        figure = _new_figure(size)
         return figure, figure.subplots(rows, columns, squeeze=False, **shared)
     given = np.asarray(axes, dtype=object)
     if given.size != rows * columns:

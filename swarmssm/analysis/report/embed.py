@@ -4,7 +4,8 @@ import html
 import io
 import re
 import warnings
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import resources
 from typing import Any
 
@@ -25,12 +26,14 @@ SINGLE = 500.0
 DPI = 160
 
 
-def report_style() -> AbstractContextManager[None]:
-    """Return a context in which figures are drawn in matplotlib's own style.
+@contextmanager
+def report_style() -> Iterator[None]:
+    """Draw figures in matplotlib's own style, and show none of them in a notebook.
 
     What the user's configuration says of colours would not fit the page.
     """
-    return matplotlib.style.context("default")
+    with matplotlib.style.context("default"), matplotlib.rc_context({"interactive": False}):
+        yield
 
 
 def as_svg(figure: Figure, alt: str, name: str = NAME) -> Markup:

@@ -171,7 +171,7 @@ class StateSpacePredictor(Predictor):
         if not isinstance(edges, InferredEdges) or not isinstance(guide, PathGuide):
             raise InputError(
                 "edges: their probabilities are those of inferred edges and a PathGuide; fit with "
-                "--edges relational or dynamic-relational."
+                'edges="relational" or "dynamic-relational".'
             )
         found = []
         pieces = self._windows(prepared) if edges.is_static else self._pieces(prepared)

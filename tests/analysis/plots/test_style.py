@@ -70,3 +70,24 @@ def test_space_is_drawn_as_the_recording_shows_it(y_axis):
         bottom, top = ax.get_ylim()
         assert bool(bottom > top) is (y_axis == "down")
         assert ax.get_ylabel() == "y (px)"
+
+
+def test_a_notebook_shows_what_is_drawn(monkeypatch):
+    """The cell shows what pyplot knows of; a report's figures are not among them."""
+    import matplotlib.pyplot as plt
+
+    from swarmssm.analysis.plots.style import new_axes
+    from swarmssm.analysis.report.embed import report_style
+
+    before = set(plt.get_fignums())
+    monkeypatch.setattr(plt, "isinteractive", lambda: bool(plt.rcParams["interactive"]))
+    with plt.rc_context({"interactive": True}):
+        new_axes(None)
+        assert set(plt.get_fignums()) == before
+        monkeypatch.setenv("MPLBACKEND", "module://matplotlib_inline.backend_inline")
+        with report_style():
+            new_axes(None)
+        assert set(plt.get_fignums()) == before
+        figure, _ = new_axes(None)
+        assert plt.fignum_exists(figure.number)
+    plt.close(figure)
