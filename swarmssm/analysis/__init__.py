@@ -1,7 +1,13 @@
-"""Labelled posteriors, forces, checks, comparison, plots and the reports.
+"""Scores, checks and interpretation of a fit, figures of them, and reports.
 
-Of several functions of one name - each analysis has a ``sentence`` of its own - the module says
-which is meant.
+* :func:`evaluate`, :func:`score` and :func:`compare`: forecasts of held-out frames.
+* :func:`check`, :func:`sbc`, :func:`recovery`: posterior predictive checks, calibration, recovery.
+* :func:`analyze`: forces, kernels, force maps, latents, influence and delays with one verdict; each
+  stands alone too (:func:`posterior_forces`, :func:`interaction_kernels`, :func:`force_maps`,
+  :func:`latent_force_alignment`, :func:`inferred_edges`, :func:`leadership_delays`).
+* ``plots``: figures of all of these; ``report``: pages.
+
+Names are loaded when they are first used.
 """
 
 import lazy_loader

@@ -12,11 +12,9 @@ from .diagnostics.sbc.study import sbc
 from .interpretation.analyze import analyze
 from .interpretation.forces import (
     force_agreement,
-    force_map,
     force_maps,
     force_summary,
     posterior_forces,
-    raw_force_map,
     true_forces,
 )
 from .interpretation.inferred_edges import inferred_edges
@@ -28,17 +26,9 @@ from .interpretation.kernels import (
 )
 from .interpretation.latents import latent_force_alignment
 from .interpretation.result import Analysis
-from .plots.scenes import free_run, scenes_of, with_free_run
+from .plots.scenes import with_free_run
 from .posterior import (
-    pointwise_log_likelihood,
     to_inference_data,
-    window_log_likelihood,
-)
-from .posterior.accelerations import (
-    AccelerationModel,
-    PosteriorPaths,
-    acceleration_model,
-    posterior_paths,
 )
 from .report import (
     Page,
@@ -60,21 +50,17 @@ from .scoring import (
     summary,
     verdict,
 )
-from .scoring.forecast_fans import forecast_fan
 from .scoring.table import format_number
 from .scoring.thesis_scores import edge_table, horizon_table, scores_table
 
 __all__ = [
     "STATISTICS",
-    "AccelerationModel",
     "Analysis",
     "Comparison",
     "Evaluation",
     "ObservedSwarm",
     "Page",
-    "PosteriorPaths",
     "Statistic",
-    "acceleration_model",
     "analysis_page",
     "analyze",
     "check",
@@ -86,12 +72,9 @@ __all__ = [
     "find_isolated",
     "find_leader",
     "force_agreement",
-    "force_map",
     "force_maps",
     "force_summary",
-    "forecast_fan",
     "format_number",
-    "free_run",
     "horizon_table",
     "inferred_edges",
     "interaction_kernels",
@@ -103,17 +86,13 @@ __all__ = [
     "one_step_pit",
     "paired_difference",
     "plots",
-    "pointwise_log_likelihood",
     "posterior",
     "posterior_forces",
-    "posterior_paths",
-    "raw_force_map",
     "recovery",
     "report",
     "run_page",
     "run_section",
     "sbc",
-    "scenes_of",
     "score",
     "score_intervals",
     "score_table",
@@ -125,6 +104,5 @@ __all__ = [
     "true_forces",
     "true_kernels",
     "verdict",
-    "window_log_likelihood",
     "with_free_run",
 ]

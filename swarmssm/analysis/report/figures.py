@@ -20,12 +20,22 @@ from swarmssm.inference import Fit
 __all__ = ["check_folder", "figures_of", "write_analysis_files"]
 
 
+def _kernels(found: xr.Dataset) -> tuple[Figure, Any]:
+    """Draw the two panels of kernels below each other, as a column of a paper has room for."""
+    figure = Figure(figsize=(4.6, 7.4), layout="constrained")
+    drawn = plots.plot_kernels(found, figure.subplots(2, 1))
+    for ax in figure.axes:
+        ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), frameon=False, fontsize=7)
+        ax.title.set_fontsize(8)
+    return drawn
+
+
 #: Name of the file, the dataset that is drawn, and the plot of it.
 FIGURES: tuple[tuple[str, str, Callable[[xr.Dataset], Any]], ...] = (
     ("force-shares", "forces", plots.plot_force_shares),
     ("forces-over-time", "forces", plots.plot_force_magnitudes),
     ("force-arrows", "forces", plots.plot_force_arrows),
-    ("kernels", "kernels", plots.plot_kernels),
+    ("kernels", "kernels", _kernels),
     ("modulation", "kernels", plots.plot_modulation),
     ("force-maps", "force_maps", plots.plot_force_maps),
     ("latent-sources", "latents", plots.plot_sources),
