@@ -40,7 +40,7 @@ class DynamicRelationalInference(RelationalBaseline):
     epochs of Adam with 5e-4, batches of 16, errors over one step, both terms of the bound divided
     by the number of their entries. Here 64 wide and recurrences 32, Adam with 2e-3 on a cosine,
     batches of some 80 individuals, and the bound itself, with errors over 1, later over up to 10
-    steps; the encoder is also told the changes from frame to frame, whose weights begin at 0.
+    steps; the encoder is also given the changes from frame to frame, whose weights begin at 0.
 
     Shapes
     ------

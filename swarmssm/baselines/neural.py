@@ -52,7 +52,7 @@ class NeuralBaseline(Baseline):
     neither scored nor seen by others.
 
     Windows of ``order + ahead`` frames are drawn at random. Over the first ``order`` frames the
-    network is told the truth and predicts each next frame; from then on it goes on by itself. With
+    network is given the truth and predicts each next frame; from then on it goes on by itself. With
     :math:`e_k` the error k steps ahead of the last known frame and :math:`s_k` the root mean square
     of what a feature changes by in k frames, the loss is
 

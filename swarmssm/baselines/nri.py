@@ -41,7 +41,7 @@ class NeuralRelationalInference(RelationalBaseline):
     halved every 200, batches of 128, output variance 5e-5 of data scaled to [-1, 1], temperature
     0.5, errors over 10 steps, two types without a fixed one for no edge. Here 64 wide, Adam with
     2e-3 on a cosine, type 0 sends no message, layer in place of batch normalisation; the encoder is
-    also told the changes from frame to frame, whose weights begin at 0; windows are
+    also given the changes from frame to frame, whose weights begin at 0; windows are
     shortened now and then, so that short histories have edges, too; and of the 48 steps of a window
     only some are decoded in each batch, over 1, 5 or 10 steps.
 
@@ -146,7 +146,7 @@ class RecurrentRelationalInference(NeuralRelationalInference):
 
     As :class:`NeuralRelationalInference`, with
     :class:`~swarmssm.baselines.relational_decoders.RecurrentDecoder`, which the paper uses
-    for systems whose next state does not follow from the last one. It is told the truth up to the
+    for systems whose next state does not follow from the last one. It is given the truth up to the
     last 10 frames of a window, as in the paper, and goes on by itself from there.
     """
 
@@ -203,11 +203,11 @@ class _Relational(StepNetwork):
             found = reconstruction(self.decoder, windows, edges.unsqueeze(1), steps, starts)
             return *found, steps
         assert isinstance(baseline, RecurrentRelationalInference)
-        told = max(1, frames - baseline.free)
+        given = max(1, frames - baseline.free)
         memory = {**self.begin(windows.states[:, 0]), "edges": edges}
         square, count = edges.new_zeros(()), edges.new_zeros(())
         for k in range(frames - 1):
-            if k < told:
+            if k < given:
                 states, there = windows.states[:, k], windows.seen[:, k]
             states, memory = self.step(states, there, windows.graph[:, k], memory)
             hidden = torch.where(there.unsqueeze(-1), memory["hidden"], 0.0)

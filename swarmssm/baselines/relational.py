@@ -18,7 +18,7 @@ __all__ = ["RelationalBaseline", "reconstruction"]
 
 
 class RelationalBaseline(NeuralBaseline):
-    r"""A baseline that is told of no graph, and gives each ordered pair a type of edge.
+    r"""A baseline that is given no graph, and gives each ordered pair a type of edge.
 
     It is trained by the evidence lower bound of the states in a window,
 

@@ -15,7 +15,7 @@ Memory = dict[str, Tensor]
 
 @dataclass(frozen=True)
 class Setting:
-    """What a network is told before it learns.
+    """What a network is given before it learns.
 
     Attributes
     ----------

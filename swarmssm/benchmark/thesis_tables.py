@@ -10,8 +10,7 @@ __all__ = ["FOOTNOTE", "thesis_table"]
 METHODS = ("graph-vae", "dygrencoder-direct", "dcrnn-direct")
 FOOTNOTE = (
     "The printed figures are of the thesis's own recordings, at a scale and in a unit that it does "
-    "not give: they stand beside these, and cannot be compared with them. The order of the methods "
-    "within a column can."
+    "not give: they cannot be compared with these. The order of the methods within a column can."
 )
 
 

@@ -15,7 +15,7 @@ from swarmssm.files import check_output, write_beside
 
 __all__ = ["COLUMNS", "benchmark_page", "check_outputs", "markdown", "write_results"]
 
-#: Endings of what is written beside the table.
+#: Endings of what is written with the table.
 ENDINGS = (".csv", ".md", ".html", ".png")
 COLUMNS = (
     "MSE (4.2) and MAE (4.3): one step, states scaled by the range of the training part.",
@@ -24,7 +24,7 @@ COLUMNS = (
     "and of the truth, in the tracks' units; without noise, and with everything drawn.",
     "CRPS K, log score K: of positions K steps ahead, lower and higher is better; a method without "
     "a noise of its own has normal errors as large as those it makes in the validation part.",
-    "Edge AUC: of the inferred against the true graph, 0.5 is chance; in the csv beside it that of "
+    "Edge AUC: of the inferred against the true graph, 0.5 is chance; in the csv also that of "
     "the distance alone, and of individuals exchanged.",
     "(oracle): the method knows the true forms of the forces, which others have to find.",
 )
@@ -43,7 +43,7 @@ def check_outputs(path: Path, *, overwrite: bool) -> None:
 
 
 def write_results(results: Results, path: Path) -> list[Path]:
-    """Write the table as csv, markdown and page, and the figure, beside each other.
+    """Write the table as csv, markdown and page, and the figure, in one folder.
 
     Raises
     ------
@@ -112,7 +112,7 @@ def _own(results: Results) -> list[str]:
 
 
 def _sentences(results: Results) -> list[str]:
-    """Return what was done and what came of it."""
+    """Return what was done and what was found."""
     task, rows = results.task, results.rows
     trials, _ = task.forecast_origins
     parts = (task.split.train, task.split.validation, task.split.test)

@@ -1,7 +1,7 @@
 """Scores of predictions, of groups and of graphs, as numpy arrays with NaN for the unknown.
 
 - :mod:`swarmssm.metrics.prediction`: errors of predicted states, equations (4.1) to (4.3).
-- :mod:`swarmssm.metrics.log_score`: how probable a normal forecast made what came.
+- :mod:`swarmssm.metrics.log_score`: how probable a forecast made what was observed.
 - :mod:`swarmssm.metrics.probabilistic`: CRPS, energy score and intervals of a forecast.
 - :mod:`swarmssm.metrics.collective`: cohesion, alignment and order of a group, (4.4) and (4.5).
 - :mod:`swarmssm.metrics.edges`: a predicted interaction graph against the true one.

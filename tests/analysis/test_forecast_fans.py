@@ -7,7 +7,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.patches import Ellipse
 
 from swarmssm.analysis.plots.forecasts import plot_forecast, plot_forecast_over_time
-from swarmssm.analysis.scoring.forecast_fans import forecast_fan, sentence
+from swarmssm.analysis.scoring.forecast_fans import fan_verdict, forecast_fan
 from swarmssm.errors import InputError
 from swarmssm.tracks import make_tracks
 
@@ -115,8 +115,8 @@ def test_what_came_is_inside_or_not_or_unknown(tracks):
         True,
         False,
     ]
-    text = sentence(fan)
-    assert "Of 9 positions that came, 89 % lay inside the ellipse that should hold 90 %" in text
+    text = fan_verdict(fan)
+    assert "Of 9 observed positions, 89 % lay inside the ellipse that should hold 90 %" in text
     assert "100 % at the last step, 0.5 s ahead" in text
     assert "one start alone" in text
 
@@ -124,7 +124,7 @@ def test_what_came_is_inside_or_not_or_unknown(tracks):
 def test_the_end_of_the_tracks_is_no_end_of_the_forecast(tracks):
     fan = forecast_fan(forecast_of(tracks, end=19), tracks)
     assert np.isnan(fan["observed"]).all()
-    assert "Nothing is known of what came" in sentence(fan)
+    assert "No position was observed" in fan_verdict(fan)
     plot_forecast(fan)
     short = forecast_fan(forecast_of(tracks, end=1), tracks, history=5)
     assert np.isnan(short["history"][0, :3]).all()

@@ -145,10 +145,10 @@ class Comparison:
         if rest:
             second = self.data.sel(model=rest[0])
             error = float(second["difference_se"])
-            told = f"standard error {format_number(error)}"
+            spread = f"standard error {format_number(error)}"
             text += (
                 f", {format_number(float(second['difference']))} "
-                f"({'no standard error' if math.isnan(error) else told}) before {rest[0]}"
+                f"({'no standard error' if math.isnan(error) else spread}) before {rest[0]}"
             )
         text += ". "
         unknown = [
@@ -199,7 +199,7 @@ def compare(
     * ``"held-out"``: forecasts from many held-out frames
       (:func:`swarmssm.analysis.scoring.score`), by the log score of an individual's position,
       averaged over the horizons; staying put, constant velocity and, of simulated tracks, the true
-      rule stand beside the fits. The question of a forecaster, fair to any kind of model. With the
+      rule are scored too. The question of a forecaster, fair to any kind of model. With the
       standard errors of a moving-block bootstrap.
     * ``"lfo"``: leave-future-out. The held-out frames in the order of time, window by window: each
       by the joint log-density that the frames before give it, one step ahead of another, and by

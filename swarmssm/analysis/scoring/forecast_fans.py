@@ -1,4 +1,4 @@
-"""A forecast beside what came: how widely its draws fan out, and whether the truth lies inside."""
+"""A forecast and what was observed: how widely draws fan out, and whether they hold the truth."""
 
 from collections.abc import Sequence
 
@@ -8,7 +8,7 @@ import xarray as xr
 from swarmssm.errors import InputError
 from swarmssm.tracks import Array, spatial_attributes, validate_tracks, with_trials
 
-__all__ = ["forecast_fan", "sentence"]
+__all__ = ["fan_verdict", "forecast_fan"]
 
 #: Draws at least; of fewer an interval says nothing.
 FEWEST = 10
@@ -23,14 +23,14 @@ def forecast_fan(
     levels: Sequence[float] = (0.5, 0.9),
     history: int = HISTORY,
 ) -> xr.Dataset:
-    """Summarise the draws of a forecast, and put what came beside them.
+    """Summarise the draws of a forecast, with what was observed.
 
     Parameters
     ----------
     forecast
         What :meth:`swarmssm.inference.Fit.forecast` returned, with draws.
     tracks
-        Tracks that hold the history and, as far as it is known, what came after it; same trials.
+        Tracks that hold the history and, as far as it is known, what followed it; same trials.
     levels
         Shares of the draws that the intervals and ellipses hold, between 0 and 1.
     history
@@ -45,7 +45,7 @@ def forecast_fan(
     - ``center (trial, step, individual, plane)``, ``covariance (..., plane, axis)`` of the draws
       in the first two coordinates, and ``reach (level, trial, step, individual)``: the ellipse
       ``(x - center)' covariance^-1 (x - center) <= reach^2`` holds that share of the draws;
-    - ``observed (trial, step, individual, space)``: what came, NaN where unknown; ``inside (level,
+    - ``observed (trial, step, individual, space)``: positions, NaN where unknown; ``inside (level,
       trial, step, individual)``: 1 where the ellipse holds it, 0 where not, NaN where unknown;
     - ``history (trial, before, individual, space)`` up to the frame from which the forecast goes
       on;
@@ -91,13 +91,13 @@ def forecast_fan(
     steps = draws.shape[2]
     padded = np.pad(path, ((0, 0), (history, steps), (0, 0), (0, 0)), constant_values=np.nan)
     before = np.stack([padded[k, row + 1 : row + 1 + history] for k, row in enumerate(rows)])
-    came = np.stack(
+    observed = np.stack(
         [padded[k, row + 1 + history : row + 1 + history + steps] for k, row in enumerate(rows)]
     )
     sides = [(1 - level) / 2 for level in levels] + [(1 + level) / 2 for level in levels] + [0.5]
     with np.errstate(invalid="ignore"):
         quantiles = np.quantile(draws, sides, axis=0)
-    center, covariance, reach, inside = _ellipses(draws[..., :2], came[..., :2], levels)
+    center, covariance, reach, inside = _ellipses(draws[..., :2], observed[..., :2], levels)
     one = ("trial", "step", "individual")
     count = len(levels)
     unit = {"units": str(tracks.attrs.get("unit", ""))}
@@ -110,7 +110,7 @@ def forecast_fan(
             "center": ((*one, "plane"), center, unit),
             "covariance": ((*one, "plane", "axis"), covariance),
             "reach": (("level", *one), reach),
-            "observed": ((*one, "space"), came, unit),
+            "observed": ((*one, "space"), observed, unit),
             "inside": (("level", *one), inside),
             "history": (("trial", "before", "individual", "space"), before, unit),
         },
@@ -128,17 +128,17 @@ def forecast_fan(
     )
 
 
-def sentence(fan: xr.Dataset) -> str:
-    """Return in one sentence how often what came lay inside the widest ellipse."""
+def fan_verdict(fan: xr.Dataset) -> str:
+    """Return in one line how often the widest ellipse holds an observation."""
     level = float(fan["level"].max())
     inside = fan["inside"].sel(level=level)
     count = int(inside.notnull().sum())
     if not count:
-        return "Nothing is known of what came: the tracks end where the forecast begins."
+        return "No position was observed: the tracks end where the forecast begins."
     share = float(inside.mean())
     last = inside.isel(step=-1)
     text = (
-        f"Of {count} positions that came, {100 * share:.0f} % lay inside the ellipse that should "
+        f"Of {count} observed positions, {100 * share:.0f} % lay inside the ellipse that should "
         f"hold {100 * level:.0f} %"
     )
     if last.notnull().any() and inside.sizes["step"] > 1:
@@ -149,8 +149,8 @@ def sentence(fan: xr.Dataset) -> str:
     starts = fan.sizes["trial"]
     which = "one start" if starts == 1 else f"{starts} starts"
     return (
-        f"{text}; from {which} alone that proves little, since the individuals and steps of a run "
-        "hang together."
+        f"{text}; from {which} alone this is weak evidence, since individuals and steps of a run "
+        "are not independent."
     )
 
 
@@ -168,9 +168,9 @@ def _rows(tracks: xr.Dataset, ends: Array) -> list[int]:
 
 
 def _ellipses(
-    draws: Array, came: Array, levels: Sequence[float]
+    draws: Array, observed: Array, levels: Sequence[float]
 ) -> tuple[Array, Array, Array, Array]:
-    """Return centers, covariances, how far each level reaches, and whether it holds what came."""
+    """Return centers, covariances, reach of each level, and whether it holds the observation."""
     center = draws.mean(axis=0)
     away = draws - center
     covariance = np.einsum("d...i,d...j->...ij", away, away) / (len(draws) - 1)
@@ -184,7 +184,7 @@ def _ellipses(
     shares = np.minimum(np.asarray(levels) * (len(draws) + 1) / len(draws), 1.0)
     with np.errstate(invalid="ignore"):
         reach = np.quantile(distance, shares, axis=0)
-    off = came - center
+    off = observed - center
     far = np.sqrt(np.einsum("...i,...ij,...j->...", off, inverse, off))
     inside = np.where(np.isfinite(far) & np.isfinite(reach), far <= reach, np.nan)
     return center, covariance, reach, inside.astype(np.float64)

@@ -121,7 +121,7 @@ def psis_lfo(log_likelihood: Array) -> LeftOut:
 def _smoothed(log_ratios: Array) -> tuple[Array, float]:
     """Return normalised log-weights and the Pareto k of their tail."""
     if not np.isfinite(log_ratios).all():
-        # A draw that gives what came no density at all would have all the weight without it.
+        # A draw that gives the observations no density at all would have all the weight without it.
         return np.full(len(log_ratios), -math.log(len(log_ratios))), math.inf
     if np.ptp(log_ratios) == 0.0:
         return np.full(len(log_ratios), -math.log(len(log_ratios))), math.nan

@@ -1,4 +1,4 @@
-"""The figures that the thesis prints, to stand beside those found here.
+"""The figures that the thesis prints, printed with those found here.
 
 They cannot be compared with them, nor with anything else: (4.2) divides a squared error by a
 length, so that its value depends on the scale and the sampling rate of the states, AMD and AVD are

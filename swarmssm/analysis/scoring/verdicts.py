@@ -15,7 +15,7 @@ from swarmssm.errors import InputError
 
 __all__ = ["Skill", "best_reference", "fitted_methods", "skill_at", "summary", "verdict"]
 
-#: Of the intervals whose coverage is told.
+#: Of the intervals whose coverage is given.
 LEVEL = 0.9
 #: Estimated from so few numbers, a coverage this far off is chance.
 TOLERANCE = 0.05

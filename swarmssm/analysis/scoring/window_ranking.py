@@ -191,7 +191,7 @@ def _words_of_k(results: Mapping[str, LeftOut], method: str, draws: int) -> list
             )
         else:
             notes.append(
-                f"{name}: {many} move its posterior so much that it cannot be told without them "
+                f"{name}: {many} move its posterior so much that it is unknown without them "
                 f"(Pareto k up to {worst:.2f}, above {limit:.2f}): its score is presumably too "
                 "high. Take shorter windows, more draws, or method held-out."
             )
