@@ -257,7 +257,7 @@ def _prepare_process() -> None:
 
 @contextmanager
 def _appending(out: Path | None, head: Row) -> Iterator[Callable[[Row], None]]:
-    """Yield what writes a row at the end of the file, whole and at once."""
+    """Yield a function that appends a whole row to the file."""
     if out is None:
         yield lambda row: None
         return
@@ -278,7 +278,7 @@ def _appending(out: Path | None, head: Row) -> Iterator[Callable[[Row], None]]:
 
 
 def _read(out: Path, head: Row) -> dict[int, Row]:
-    """Return the rows of a file by their number; cut off a line that was not finished."""
+    """Return the rows of a file by their index; an incomplete last line is cut off."""
     try:
         data = out.read_bytes()
         whole = data[: data.rfind(b"\n") + 1]
@@ -293,30 +293,29 @@ def _read(out: Path, head: Row) -> dict[int, Row]:
     parsed = [_parsed(out, number, line) for number, line in enumerate(lines, 1)]
     old = parsed[0].get("settings")
     if not isinstance(old, dict):
-        raise InputError(f"{out}: line 1 holds no settings; it is no file to go on with.")
+        raise InputError(f"{out}: line 1 holds no settings; it cannot be continued.")
     if old != head:
         names = sorted(name for name in {*old, *head} if old.get(name) != head.get(name))
         raise InputError(
-            f"{out}: it was made with other settings ({', '.join(names)}). Go on with the same "
-            "ones, or choose another file."
+            f"{out}: it was made with other settings ({', '.join(names)}). Use the same ones, or "
+            "another file."
         )
     rows = {}
     for number, row in enumerate(parsed[1:], 2):
         if not isinstance(row.get("index"), int):
-            raise InputError(f"{out}: line {number} has no index; it is no file to go on with.")
+            raise InputError(f"{out}: line {number} has no index; it cannot be continued.")
         rows[row["index"]] = row
     return rows
 
 
 def _parsed(out: Path, number: int, line: bytes) -> Row:
-    """Return what stands in a line."""
+    """Return the object in a line."""
     try:
         row = json.loads(line)
     except ValueError:
         row = None
     if not isinstance(row, dict):
         raise InputError(
-            f"{out}: line {number} cannot be read as JSON. Remove that line, or choose another "
-            "file."
+            f"{out}: line {number} cannot be read as JSON. Remove that line, or use another file."
         )
     return row

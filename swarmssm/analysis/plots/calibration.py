@@ -29,7 +29,7 @@ def plot_calibration(
     Parameters
     ----------
     calibration
-        From :func:`swarmssm.analysis.sbc`.
+        ``data`` of :func:`swarmssm.analysis.sbc`.
     axes
         Two more than quantities; new ones if absent.
 
@@ -71,7 +71,7 @@ def plot_rank_histograms(
     Parameters
     ----------
     calibration
-        From :func:`swarmssm.analysis.sbc`.
+        ``data`` of :func:`swarmssm.analysis.sbc`.
     axes
         As many as quantities; new ones if absent.
 
@@ -118,7 +118,7 @@ def plot_ecdf_difference(calibration: xr.Dataset, ax: Axes | None = None) -> tup
     Parameters
     ----------
     calibration
-        From :func:`swarmssm.analysis.sbc`.
+        ``data`` of :func:`swarmssm.analysis.sbc`.
     ax
         Where to draw; new axes if absent.
     """
@@ -163,7 +163,7 @@ def plot_coverage(calibration: xr.Dataset, ax: Axes | None = None) -> tuple[Figu
     Parameters
     ----------
     calibration
-        From :func:`swarmssm.analysis.sbc`.
+        ``data`` of :func:`swarmssm.analysis.sbc`.
     ax
         Where to draw; new axes if absent.
 

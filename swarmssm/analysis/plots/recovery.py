@@ -40,8 +40,8 @@ def plot_recovery(
     Parameters
     ----------
     recovery
-        From :func:`swarmssm.analysis.recovery`. Of a grid each panel has the medians over all
-        combinations with the same value of its factor.
+        ``data`` of :func:`swarmssm.analysis.recovery`. For a grid each panel has the medians
+        over all combinations with the same value of its factor.
     axes
         As many as factors; new ones if absent.
 
@@ -91,7 +91,7 @@ def varied_factors(recovery: xr.Dataset) -> list[str]:
     Parameters
     ----------
     recovery
-        From :func:`swarmssm.analysis.recovery`.
+        ``data`` of :func:`swarmssm.analysis.recovery`.
     """
     varied = dict.fromkeys(str(name) for name in recovery["factor"].values)
     if "grid" in varied:
@@ -100,7 +100,7 @@ def varied_factors(recovery: xr.Dataset) -> list[str]:
 
 
 def _over_grid(recovery: xr.Dataset, factor: str) -> xr.Dataset:
-    """Return the medians over all settings that have the same value of a factor."""
+    """Return the medians over all designs that have the same value of a factor."""
     values = recovery[factor].to_numpy()
     known = np.unique(values[np.isfinite(values)])
     medians = {}
