@@ -156,8 +156,10 @@ def kernel_figures(found: xr.Dataset) -> list[Drawing]:
     figures = _several(2, PANEL)
     axes = np.array([one.axes[0] for one in figures], dtype=object)
     plot_kernels(found, axes, truth=truth if curves else None)
-    for ax in axes:
-        ax.legend(
+    # A model without alignment has no picture of it.
+    drawn = [one for one in figures if one.axes[0].get_visible()]
+    for one in drawn:
+        one.axes[0].legend(
             loc="upper center",
             bbox_to_anchor=(0.5, -0.16),
             ncols=2,
@@ -166,7 +168,7 @@ def kernel_figures(found: xr.Dataset) -> list[Drawing]:
             columnspacing=1.0,
             handlelength=1.6,
         )
-    return figures
+    return drawn
 
 
 def _several(count: int, size: tuple[float, float]) -> list[Drawing]:
