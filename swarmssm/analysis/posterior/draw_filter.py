@@ -322,19 +322,22 @@ def _filter_blocks(
     with model.fixed(values):
         frames = frames_of(model, batch, "blocks")
         chain = frames.still()
-        mean, covariance = chain.first_mean, chain.first_covariance
+        mean, covariance = chain.initial_mean, chain.initial_cov
         for time in range(times):
             if time:
                 mean, matrix, noise = frames.step(
                     time - 1, frames.split(mean), frames.own(covariance)
                 )
                 covariance = symmetrize(matrix @ covariance @ matrix.mT + noise)
-            size = chain.blur.shape[-1]
+            size = chain.emission_cov.shape[-1]
             shown = AffineMap(
-                torch.zeros_like(mean), chain.shift[time], chain.seen[time], chain.blur[time]
+                torch.zeros_like(mean),
+                chain.emission_offset[time],
+                chain.emission_matrix[time],
+                chain.emission_cov[time],
             )
             seen = prepared.mask[:, time].flatten().unsqueeze(-1)
-            observations = chain.observed[time].view(-1, 1, size)
+            observations = chain.observations[time].view(-1, 1, size)
             part, mean, covariance = _take_in(
                 mean, covariance, shown, observations, seen, space, replicates
             )

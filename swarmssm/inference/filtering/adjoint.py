@@ -48,38 +48,38 @@ class AffineChain(NamedTuple):
 
     Attributes
     ----------
-    first_mean, first_covariance
+    initial_mean, initial_cov
         ``(batch, state)``, ``(batch, state, state)``.
-    matrix, offset, noise
+    transition_matrix, offset, process_cov
         F, c, Q of the steps: ``(time - 1, batch, state, state)``,
         ``(time - 1, batch, state)``, ``(time - 1, batch, state, state)``.
-    seen, shift, blur
+    emission_matrix, emission_offset, emission_cov
         H, d, R of the frames: ``(time, batch, observation, state)``,
         ``(time, batch, observation)``, ``(time, batch, observation, observation)``. Of what was not
         observed H is 0 and R is 1.
-    observed
+    observations
         x, ``(time, batch, observation)``; d where nothing was observed.
-    observed_count
+    num_observed
         ``(batch,)``: how many numbers were observed.
     """
 
-    first_mean: Tensor
-    first_covariance: Tensor
-    matrix: Tensor
+    initial_mean: Tensor
+    initial_cov: Tensor
+    transition_matrix: Tensor
     offset: Tensor
-    noise: Tensor
-    seen: Tensor
-    shift: Tensor
-    blur: Tensor
-    observed: Tensor
-    observed_count: Tensor
+    process_cov: Tensor
+    emission_matrix: Tensor
+    emission_offset: Tensor
+    emission_cov: Tensor
+    observations: Tensor
+    num_observed: Tensor
 
     @classmethod
     def of(cls, system: AffineSwarm) -> "AffineChain":
         """Return the chain of a swarm's joint state."""
         window, steps, frames = system.window, system.steps, system.observations
         zero = _times(frames.jacobian, frames.point)
-        shift = frames.mean - zero
+        offset = frames.mean - zero
         there = window.there[:, 0]
         return cls(
             torch.where(there, window.initial_mean, 0.0),
@@ -88,10 +88,10 @@ class AffineChain(NamedTuple):
             _time_first(steps.mean - _times(steps.jacobian, steps.point)),
             _time_first(steps.noise),
             _time_first(frames.jacobian),
-            _time_first(shift),
+            _time_first(offset),
             _time_first(frames.noise),
-            _time_first(torch.where(window.seen, window.values, shift)),
-            window.seen.sum((-1, -2)),
+            _time_first(torch.where(window.mask, window.observations, offset)),
+            window.mask.sum((-1, -2)),
         )
 
 
@@ -108,7 +108,7 @@ class ForwardPass(NamedTuple):
         After the frame.
     factor
         L, lower Cholesky factor of the covariance S of the innovations y.
-    whitened, seen, reach
+    whitened, whitened_matrix, reach
         :math:`L^{-1} y`, :math:`L^{-1} H` and :math:`L^{-1} H P`.
     """
 
@@ -119,7 +119,7 @@ class ForwardPass(NamedTuple):
     filtered_covariance: Tensor
     factor: Tensor
     whitened: Tensor
-    seen: Tensor
+    whitened_matrix: Tensor
     reach: Tensor
 
 
@@ -135,7 +135,7 @@ def filter_chain(chain: AffineChain, predict: Predict | None = None) -> ForwardP
     Parameters
     ----------
     chain
-        The chain. With ``predict`` its matrix, offset and noise are not looked at.
+        The chain. With ``predict`` its transition is not looked at.
     predict
         Linearises as it goes.
 
@@ -156,15 +156,15 @@ def filter_chain(chain: AffineChain, predict: Predict | None = None) -> ForwardP
 
 def _forwards(chain: AffineChain, predict: Predict | None) -> ForwardPass:
     """Predict and update, frame by frame."""
-    mean, covariance = chain.first_mean, chain.first_covariance
+    mean, covariance = chain.initial_mean, chain.initial_cov
     state = mean.shape[-1]
-    residuals = chain.observed - chain.shift
+    residuals = chain.observations - chain.emission_offset
     rows: list[tuple[Tensor, ...]] = []
     last = len(residuals) - 1
     for t in range(last + 1):
-        h = chain.seen[t]
+        h = chain.emission_matrix[t]
         cross = h @ covariance
-        factor = torch.linalg.cholesky(torch.baddbmm(chain.blur[t], cross, h.mT))
+        factor = torch.linalg.cholesky(torch.baddbmm(chain.emission_cov[t], cross, h.mT))
         residual = torch.baddbmm(residuals[t].unsqueeze(-1), h, mean.unsqueeze(-1), alpha=-1)
         stacked = torch.cat([cross, h, residual], dim=-1)
         solved = torch.linalg.solve_triangular(factor, stacked, upper=False)
@@ -175,7 +175,7 @@ def _forwards(chain: AffineChain, predict: Predict | None) -> ForwardPass:
         if t == last:
             break
         if predict is None:
-            f, q = chain.matrix[t], chain.noise[t]
+            f, q = chain.transition_matrix[t], chain.process_cov[t]
             mean = chain.offset[t] + _times(f, filtered_mean)
         else:
             mean, f, q = predict(t, filtered_mean, filtered_covariance)
@@ -185,8 +185,7 @@ def _forwards(chain: AffineChain, predict: Predict | None) -> ForwardPass:
     factors, whitened = found[4], found[5]
     spread = factors.diagonal(dim1=-2, dim2=-1).log().sum((0, -1))
     evidence = (
-        -0.5 * (whitened.square().sum((0, -1)) + LOG_2PI * chain.observed_count.to(whitened))
-        - spread
+        -0.5 * (whitened.square().sum((0, -1)) + LOG_2PI * chain.num_observed.to(whitened)) - spread
     )
     return ForwardPass(evidence, *found)
 
@@ -216,10 +215,10 @@ def run_adjoint(
     pullback
         What the linearisation does with a change of the place where it is made.
     """
-    push = _times(run.seen.mT, run.whitened)  # H' S^-1 y
+    push = _times(run.whitened_matrix.mT, run.whitened)  # H' S^-1 y
     eye = torch.eye(run.mean.shape[-1], dtype=push.dtype, device=push.device)
-    keep = eye - run.reach.mT @ run.seen
-    own = push.unsqueeze(-1) * push.unsqueeze(-2) - run.seen.mT @ run.seen
+    keep = eye - run.reach.mT @ run.whitened_matrix
+    own = push.unsqueeze(-1) * push.unsqueeze(-2) - run.whitened_matrix.mT @ run.whitened_matrix
     own = 0.5 * own * weight[:, None, None]
     pushed = push * weight[:, None]
     filtered_mean = torch.zeros_like(run.mean[0])
@@ -257,13 +256,17 @@ def emission_cotangents(
     surprise = scaled * (s @ s.mT - inverse)
     half = gain @ found.filtered_covariance
     cross = back @ s.mT
-    by_blur = 0.5 * (surprise - cross - cross.mT) + half @ gain.mT
-    by_shift = scaled * s - back
+    by_cov = 0.5 * (surprise - cross - cross.mT) + half @ gain.mT
+    by_offset = scaled * s - back
     reach = run.factor @ run.reach  # H P
-    by_seen = by_shift @ run.mean.unsqueeze(-2) + surprise @ reach
-    by_seen = by_seen + s @ (run.filtered_covariance @ found.filtered_mean.unsqueeze(-1)).mT
-    by_seen = by_seen - back @ (reach.mT @ s).mT - 2.0 * half @ run.filtered_covariance
-    return by_seen, by_shift.squeeze(-1), by_blur
+    by_emission_matrix = by_offset @ run.mean.unsqueeze(-2) + surprise @ reach
+    by_emission_matrix = (
+        by_emission_matrix + s @ (run.filtered_covariance @ found.filtered_mean.unsqueeze(-1)).mT
+    )
+    by_emission_matrix = (
+        by_emission_matrix - back @ (reach.mT @ s).mT - 2.0 * half @ run.filtered_covariance
+    )
+    return by_emission_matrix, by_offset.squeeze(-1), by_cov
 
 
 class _Evidence(torch.autograd.Function):
@@ -280,7 +283,7 @@ class _Evidence(torch.autograd.Function):
         chain = AffineChain._make([*tensors, count])
         ctx.run = filter_chain(chain) if run is None else run
         ctx.pullback = pullback
-        ctx.save_for_backward(chain.matrix)
+        ctx.save_for_backward(chain.transition_matrix)
         evidence: Tensor = ctx.run.evidence.clone()
         return evidence
 
@@ -294,13 +297,13 @@ class _Evidence(torch.autograd.Function):
         by_matrix = 2.0 * covariance @ (matrix @ run.filtered_covariance[:-1])
         if ctx.pullback is None:
             by_matrix += mean.unsqueeze(-1) * run.filtered_mean[:-1].unsqueeze(-2)
-        by_seen = by_shift = by_blur = by_observed = None
+        by_emission_matrix = by_offset = by_cov = by_observed = None
         if any(ctx.needs_input_grad[8:]):
-            by_seen, by_shift, by_blur = emission_cotangents(run, found, weight)
-            by_observed = -by_shift
+            by_emission_matrix, by_offset, by_cov = emission_cotangents(run, found, weight)
+            by_observed = -by_offset
         first = (found.mean[0], found.covariance[0])
         step = (by_matrix, mean, covariance)
-        return (None, None, None, *first, *step, by_seen, by_shift, by_blur, by_observed)
+        return (None, None, None, *first, *step, by_emission_matrix, by_offset, by_cov, by_observed)
 
 
 def chain_evidence(chain: AffineChain) -> Tensor:
@@ -340,7 +343,7 @@ def chain_smooth(chain: AffineChain, run: ForwardPass | None = None) -> tuple[Te
     """Return smoothed means and covariances ``(time, batch, state[, state])``, without gradient."""
     with torch.no_grad():
         run = filter_chain(chain) if run is None else run
-        found = run_adjoint(chain.matrix, run, run.mean.new_ones(run.mean.shape[1]))
+        found = run_adjoint(chain.transition_matrix, run, run.mean.new_ones(run.mean.shape[1]))
         g = found.mean.unsqueeze(-1)
         mean = run.mean + (run.covariance @ g).squeeze(-1)
         curvature = g @ g.mT - 2.0 * found.covariance

@@ -111,9 +111,9 @@ class Window:
     ----------
     initial_mean, initial_covariance
         Of an individual that enters: ``(batch, joint)``, ``(batch, joint, joint)``.
-    values
-        Observations, ``(batch, time, individual * observation)``; 0 where there is none.
-    seen
+    observations
+        ``(batch, time, individual * observation)``; 0 where there is none.
+    mask
         Which of them were made, of bool.
     present
         ``(batch, time, individual)`` of bool: who is there.
@@ -127,8 +127,8 @@ class Window:
 
     initial_mean: Tensor
     initial_covariance: Tensor
-    values: Tensor
-    seen: Tensor
+    observations: Tensor
+    mask: Tensor
     present: Tensor
     inputs: StepInputs
     features: int
@@ -288,7 +288,7 @@ class AffineSwarm:
         return cls(
             window,
             steps,
-            window.settle_observation(observations, window.seen),
+            window.settle_observation(observations, window.mask),
         )
 
 

@@ -261,8 +261,8 @@ def _filter(
         run = filter_chain(chain, predict)
         if lines is None and matrices:
             chain = chain._replace(
-                matrix=torch.stack(matrices),
+                transition_matrix=torch.stack(matrices),
                 offset=torch.stack(offsets),
-                noise=torch.stack(noises),
+                process_cov=torch.stack(noises),
             )
     return run, chain

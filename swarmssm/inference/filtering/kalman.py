@@ -199,7 +199,7 @@ def _sources(
 
     def observe(time: int, mean: Tensor, covariance: Tensor) -> AffineMap:
         line = linearizer.observe(model, window.split(mean), covariance)
-        return window.settle_observation(line, window.seen[..., time, :])
+        return window.settle_observation(line, window.mask[..., time, :])
 
     return window, step, observe
 
@@ -256,8 +256,8 @@ def _through(window: Window, step: Source, observe: Source) -> Iterator[_Frame]:
             covariance = symmetrize(moved.jacobian @ covariance @ moved.jacobian.mT + moved.noise)
         predicted = mean, covariance
         shown = observe(time, mean, covariance)
-        seen = window.seen[..., time, :]
-        innovation = torch.where(seen, window.values[..., time, :] - shown(mean), 0.0)
+        seen = window.mask[..., time, :]
+        innovation = torch.where(seen, window.observations[..., time, :] - shown(mean), 0.0)
         mean, covariance, increment = _update(mean, covariance, shown, innovation, seen, time)
         yield _Frame(predicted, (mean, covariance), increment, moved, shown)
 
@@ -331,13 +331,13 @@ def gains_of(filtered: Filtered) -> Gains:
     factor = cholesky(moved @ map_.jacobian.mT + map_.noise, "of the observations")
     gain = torch.cholesky_solve(moved, factor).mT
     eye = torch.eye(covariance.shape[-1], dtype=covariance.dtype, device=covariance.device)
-    innovation = window.values - map_(filtered.predicted_mean.flatten(-2))
+    innovation = window.observations - map_(filtered.predicted_mean.flatten(-2))
     return Gains(
         gain,
         eye - gain @ map_.jacobian,
         torch.linalg.solve_triangular(factor, map_.jacobian, upper=False),
         factor,
-        torch.where(window.seen, innovation, 0.0),
+        torch.where(window.mask, innovation, 0.0),
     )
 
 

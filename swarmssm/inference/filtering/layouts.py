@@ -73,7 +73,7 @@ class Frames(ABC):
         none, square = start.new_zeros(len(start), 0, 1), start.new_zeros(len(start), 0, 1, 1)
         steps = AffineMap(none, none, square, square)
         observations = _as_double(self._observe(zero.to(self.dtype)))
-        observations = self.window.settle_observation(observations, self.window.seen)
+        observations = self.window.settle_observation(observations, self.window.mask)
         return AffineChain.of(AffineSwarm(self.window, steps, observations))
 
     def system(self, points: Points) -> AffineSwarm:
@@ -82,7 +82,7 @@ class Frames(ABC):
         covariance = points.covariance[:, :-1].to(self.dtype)
         steps = _as_double(self._steps(mean[:, :-1], self.inputs, covariance))
         observations = self.window.settle_observation(
-            _as_double(self._observe(mean)), self.window.seen
+            _as_double(self._observe(mean)), self.window.mask
         )
         return AffineSwarm(self.window, self.window.settle_steps(steps), observations)
 
@@ -168,7 +168,7 @@ def _double_window(window: Window) -> Window:
         window,
         initial_mean=window.initial_mean.double(),
         initial_covariance=window.initial_covariance.double(),
-        values=window.values.double(),
+        observations=window.observations.double(),
     )
 
 

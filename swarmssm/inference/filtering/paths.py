@@ -49,7 +49,7 @@ def draw_paths(filtered: Filtered, num: int, seed: int | torch.Generator | None 
 
     disturbance = noise_roots(filtered) @ noise(steps.mean.shape[-1])
     tracking = root(system.observations.noise) @ noise(system.observations.mean.shape[-1])
-    tracking = torch.where(window.seen.unsqueeze(-1), tracking, 0.0)
+    tracking = torch.where(window.mask.unsqueeze(-1), tracking, 0.0)
 
     lost = gains.gain @ tracking
     error = disturbance[..., 0, :, :]
@@ -96,9 +96,9 @@ def path_log_density(filtered: Filtered, paths: Tensor) -> Tensor:
     free = window.stochastic_features
     residual = torch.where(free, torch.cat([first.unsqueeze(-2), later], -2), 0.0)
     prior = _log_normal(residual, cholesky(_free_noise(filtered), "of the noise of a step"), free)
-    gap = torch.where(window.seen, window.values - system.observations(joint), 0.0)
+    gap = torch.where(window.mask, window.observations - system.observations(joint), 0.0)
     tracking = cholesky(system.observations.noise, "of the noise of an observation")
-    seen = _log_normal(gap, tracking, window.seen)
+    seen = _log_normal(gap, tracking, window.mask)
     return prior + seen - filtered.log_evidence
 
 

@@ -21,6 +21,7 @@ from swarmssm.inference.filtering.adjoint import AffineChain, chain_evidence, ch
 from swarmssm.inference.filtering.banded import Band, band_mean, band_moments, log_integral
 from swarmssm.inference.filtering.layouts import frames_of
 from swarmssm.models import (
+    ExactEmission,
     InitialStates,
     LatentEdges,
     PositionEmission,
@@ -388,7 +389,7 @@ def test_what_cannot_be_done_is_refused(linear_swarm, windows):
         broken.emission.noise = torch.full((2,), torch.nan, dtype=DOUBLE)
         with pytest.raises(WorkError, match="not positive definite"):
             collapsed_evidence(broken, batch, method=method)
-    model.emission = None
+    model.emission = ExactEmission()
     with pytest.raises(ValueError, match="nothing to filter"):
         collapsed_evidence(model, batch, method="iterated", layout="blocks")
 
