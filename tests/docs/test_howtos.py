@@ -27,6 +27,7 @@ WITHOUT = (
     "checking-a-fitted-swarm",
     "comparing-models",
     "who-acts-on-whom",
+    "figures",
 )
 #: Pages without anything to run: what was found in recordings that are not part of the package.
 REPORTS = ("which-rule-each-species-follows",)
@@ -35,6 +36,7 @@ BRIEF = 'steps=5, guide_options={"globals": "multivariate"}'
 SHORT = "--steps 5 --guide-option globals=multivariate"
 #: What stands in a how-to -> less of it, for a quick look at whether it runs at all.
 LESS = {
+    "figures": {"--model boids": f"--model boids {SHORT}"},
     "comparing-methods": {"constant-velocity,ar5,ridge-boids,boids": "ar5"},
     "another-prior": {
         "steps=120": "steps=30",

@@ -91,7 +91,7 @@ def test_what_is_recorded(name, space):
 def test_the_law_goes_on_from_any_state(name):
     """Of one trial; of several with other edges there is no one dynamics."""
     tracks = BOTH[name](5, 12, 3, seed=2, start_spread=1.0)
-    with pytest.raises(InputError, match="differs between trials or frames"):
+    with pytest.raises(InputError, match="differ between trials or frames"):
         dynamics_of(tracks)
     one = tracks.isel(trial=[1])
     dynamics = dynamics_of(one)

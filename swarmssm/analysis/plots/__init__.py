@@ -1,15 +1,12 @@
 """Figures: they draw what is given and compute nothing. ``ax=None`` in, ``(fig, ax)`` out.
 
 None of them touches pyplot: a figure is gone when nobody holds it. In space the axes have one
-scale, and y grows upwards whatever the recording's own picture does.
+scale, and y points as in the recording's own picture.
 """
 
 from swarmssm.analysis.plots.animation import animate, write_animation
 from swarmssm.analysis.plots.calibration import (
     plot_calibration,
-    plot_coverage,
-    plot_ecdf_difference,
-    plot_rank_histograms,
 )
 from swarmssm.analysis.plots.checks import (
     plot_check_overview,
@@ -46,6 +43,7 @@ from swarmssm.analysis.plots.model_graph import plot_model
 from swarmssm.analysis.plots.presence import plot_presence
 from swarmssm.analysis.plots.recovery import plot_recovery
 from swarmssm.analysis.plots.scores import plot_forecast_coverage, plot_scores
+from swarmssm.analysis.plots.style import save_figure
 from swarmssm.analysis.plots.tracks import plot_tracks
 from swarmssm.analysis.plots.trajectories import (
     plot_imitation,
@@ -59,9 +57,7 @@ __all__ = [
     "plot_calibration",
     "plot_check_overview",
     "plot_collective",
-    "plot_coverage",
     "plot_delays",
-    "plot_ecdf_difference",
     "plot_edge_accuracy",
     "plot_edge_probabilities",
     "plot_force_arrows",
@@ -89,7 +85,6 @@ __all__ = [
     "plot_pit",
     "plot_presence",
     "plot_random_starts",
-    "plot_rank_histograms",
     "plot_recovery",
     "plot_rotated_axes",
     "plot_scores",
@@ -100,5 +95,6 @@ __all__ = [
     "plot_tracks",
     "plot_training",
     "plot_trajectories",
+    "save_figure",
     "write_animation",
 ]

@@ -1,8 +1,10 @@
 """How all figures look: one colour a method everywhere, readable to the colour-blind."""
 
+import contextlib
 import inspect
 import os
-from collections.abc import Iterable, Mapping
+import warnings
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,9 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
+from matplotlib.text import Text
 from matplotlib.ticker import LogFormatter, MaxNLocator
 
 from swarmssm.errors import InputError
@@ -40,6 +44,8 @@ __all__ = [
 #: Formats of figures, and the least and the most width in millimetres.
 FIGURE_FORMATS = ("pdf", "svg", "png")
 LEAST_WIDTH, MOST_WIDTH = 20.0, 1000.0
+#: Letters and lines do not get smaller, in points.
+LEAST_LETTER, LEAST_LINE = 5.0, 0.4
 #: Okabe and Ito's colours, darkened where they would fade on white; all but black, which a page in
 #: the dark replaces by its own ink, are seen on black too.
 COLOURS = {
@@ -228,13 +234,13 @@ def save_figure(figure: Figure, path: Path | str, width: float | str | None = No
     path
         Ends in ``.pdf``, ``.svg`` or ``.png`` (300 dots per inch). A file of that name is replaced.
     width
-        In millimetres, ``85`` or ``"85mm"``; the height follows, and sizes of letters stay.
-        Default: the figure's own.
+        In millimetres, ``85`` or ``"85mm"``; the height follows. Letters and lines shrink with the
+        figure, letters to 5 points at the least. Default: the figure's own.
 
     Raises
     ------
     InputError
-        If the format or the width is none of these.
+        If the format or the width is none of these, or the figure has no room in the width.
     WorkError
         If the file cannot be written.
     """
@@ -243,14 +249,47 @@ def save_figure(figure: Figure, path: Path | str, width: float | str | None = No
     if format not in FIGURE_FORMATS:
         raise InputError(f"{target}: figures are written as {', '.join(FIGURE_FORMATS)}.")
     if width is not None:
-        inches = millimetres(width) / 25.4
-        own_width, own_height = figure.get_size_inches()
-        figure.set_size_inches(inches, own_height * inches / own_width)
+        _resize(figure, millimetres(width) / 25.4)
     with (
+        _no_room(target),
         mpl.rc_context({"pdf.fonttype": 42, "svg.fonttype": "none"}),
         write_beside(target, overwrite=True) as temporary,
     ):
         figure.savefig(temporary, format=format, dpi=300)
+
+
+def _resize(figure: Figure, inches: float) -> None:
+    """Give a figure another width, its letters and lines with it where it shrinks."""
+    width, height = figure.get_size_inches()
+    ratio = inches / width
+    figure.set_size_inches(inches, height * ratio)
+    if ratio >= 1.0:
+        return
+    for ax in figure.get_axes():
+        for axis, name in ((ax.xaxis, "x"), (ax.yaxis, "y")):
+            for label in axis.get_ticklabels()[:1]:
+                # Ticks are made anew when the figure is drawn.
+                ax.tick_params(axis=name, labelsize=max(LEAST_LETTER, ratio * label.get_fontsize()))
+    for text in figure.findobj(Text):
+        assert isinstance(text, Text)
+        text.set_fontsize(max(LEAST_LETTER, min(ratio * text.get_fontsize(), text.get_fontsize())))
+    for line in figure.findobj(Line2D):
+        assert isinstance(line, Line2D)
+        line.set_linewidth(max(LEAST_LINE, ratio * line.get_linewidth()))
+        line.set_markersize(ratio * line.get_markersize())
+
+
+@contextlib.contextmanager
+def _no_room(target: Path) -> Iterator[None]:
+    """Refuse a figure whose axes have no room beside their labels."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", message=".*collapsed to zero")
+        try:
+            yield
+        except UserWarning as warning:
+            raise InputError(
+                f"{target}: the figure has no room for its labels. Give a larger width."
+            ) from warning
 
 
 def millimetres(width: float | str) -> float:

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from swarmssm.analysis.plots import plot_tracks, plot_trajectories
-from swarmssm.analysis.plots.style import millimetres, new_axes, paint_ground, save_figure
+from swarmssm.analysis.plots.style import millimetres, new_axes, new_grid, paint_ground, save_figure
 from swarmssm.errors import InputError
 from swarmssm.tracks import make_tracks
 
@@ -49,6 +49,23 @@ def test_a_figure_is_saved_at_a_width(tmp_path, ending, start):
 @pytest.mark.parametrize("width", ["85", 85, "85 mm", "8.5cm", "3.3464567in"])
 def test_widths(width):
     assert millimetres(width) == pytest.approx(85.0)
+
+
+def test_letters_shrink_with_the_figure(tmp_path):
+    """Two panels of 9.6 inches fit into a column, where letters of 10 points would not."""
+    figure, axes = new_grid(None, 1, 2, (9.6, 3.9))
+    for ax in axes[0]:
+        ax.plot([0, 1], [0, 300])
+        ax.set_xlabel("distance (cm)", fontsize=10)
+        ax.set_ylabel("force (cm/s²)", fontsize=10)
+    for _ in range(2):
+        save_figure(figure, tmp_path / "figure.pdf", "120mm")
+        ratio = 120 / 25.4 / 9.6
+        assert axes[0, 0].xaxis.label.get_fontsize() == pytest.approx(max(5, 10 * ratio))
+        assert axes[0, 1].yaxis.get_ticklabels()[0].get_fontsize() < 6
+    with pytest.raises(InputError, match=r"tiny\.pdf: the figure has no room for its labels"):
+        save_figure(figure, tmp_path / "tiny.pdf", "20mm")
+    assert not (tmp_path / "tiny.pdf").exists()
 
 
 def test_what_is_no_figure_is_named(tmp_path):
