@@ -266,10 +266,10 @@ def _resize(figure: Figure, inches: float) -> None:
     if ratio >= 1.0:
         return
     for ax in figure.get_axes():
-        for axis, name in ((ax.xaxis, "x"), (ax.yaxis, "y")):
+        for axis in (ax.xaxis, ax.yaxis):
             for label in axis.get_ticklabels()[:1]:
                 # Ticks are made anew when the figure is drawn.
-                ax.tick_params(axis=name, labelsize=max(LEAST_LETTER, ratio * label.get_fontsize()))
+                axis.set_tick_params(labelsize=max(LEAST_LETTER, ratio * label.get_fontsize()))
     for text in figure.findobj(Text):
         assert isinstance(text, Text)
         text.set_fontsize(max(LEAST_LETTER, min(ratio * text.get_fontsize(), text.get_fontsize())))
