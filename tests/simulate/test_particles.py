@@ -106,7 +106,7 @@ def test_the_law_goes_on_from_any_state(name):
         np.testing.assert_allclose(found, values(one, quantity), rtol=0, atol=1e-10)
     with pytest.raises(InputError, match="no variable edge_type"):
         dynamics_of(one.drop_vars("edge_type"))
-    with pytest.raises(InputError, match="Give the dynamics its edge_type"):
+    with pytest.raises(InputError, match="Give the dynamics their edge_type"):
         type(dynamics).from_dict(dynamics.to_dict()).forces(position, velocity)
 
 
