@@ -35,7 +35,7 @@ Z90 = 1.6448536269514722
 
 def one(job: tuple[int, str, str, int]) -> dict[str, object]:
     """Fit one data set."""
-    from swarmssm.inference.laplace import laplace
+    from swarmssm.inference.laplace_method import laplace
 
     torch.set_num_threads(1)
     seed, kind, method, given = job

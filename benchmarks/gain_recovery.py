@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from flocks import GAINS, TRUTH, finite_differences, flock_model, simulate, windows
 
-from swarmssm.inference.laplace import laplace
+from swarmssm.inference.laplace_method import laplace
 
 
 def main() -> None:

@@ -119,7 +119,7 @@ def weighted_model() -> StateSpaceModel:
 
 def one(job: tuple[str, int]) -> dict[str, object]:
     """Fit one swarm."""
-    from swarmssm.inference.laplace import laplace
+    from swarmssm.inference.laplace_method import laplace
 
     torch.set_num_threads(1)
     kind, seed = job

@@ -210,7 +210,7 @@ def shadowed(root: Path) -> list[str]:
     return found
 
 
-CHECKS = [unplaced, upward, pyro_too_low, through_links, drawers, circles]
+CHECKS = [unplaced, upward, pyro_too_low, through_links, drawers, circles, shadowed]
 
 
 @pytest.mark.parametrize("check", CHECKS)

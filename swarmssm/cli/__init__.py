@@ -1,5 +1,5 @@
 """The ``swarmssm`` command: one file a group of subcommands."""
 
-from swarmssm.cli.app import app, main
+from swarmssm.cli.app import main
 
-__all__ = ["app", "main"]
+__all__ = ["main"]

@@ -5,8 +5,8 @@ if __name__ != "swarmssm.inference":
         "Write swarmssm.inference: inference at the root of a checkout is but a link."
     )
 
-from swarmssm.inference.collapsed import collapsed
 from swarmssm.inference.collapsed_fit import fit_collapsed
+from swarmssm.inference.collapsed_model import collapsed
 from swarmssm.inference.fitted import Fit
 from swarmssm.inference.fitting import fit
 from swarmssm.inference.guides import (
@@ -19,7 +19,7 @@ from swarmssm.inference.guides import (
     find_guide,
 )
 from swarmssm.inference.held import fixed_transition
-from swarmssm.inference.laplace import Laplace, laplace
+from swarmssm.inference.laplace_method import Laplace, laplace
 from swarmssm.inference.settings import FitSettings
 from swarmssm.inference.training import TrainingProgress
 

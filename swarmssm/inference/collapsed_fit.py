@@ -9,12 +9,12 @@ import torch
 from pyro.infer import Trace_ELBO
 
 from swarmssm.errors import WorkError
-from swarmssm.inference.collapsed import collapsed, windows_plate
+from swarmssm.inference.collapsed_model import collapsed, windows_plate
 from swarmssm.inference.convergence import add_distances
 from swarmssm.inference.filtering.evidence import linearization_points
 from swarmssm.inference.filtering.layouts import Points
 from swarmssm.inference.guides.linearized import LinearizedGuide
-from swarmssm.inference.laplace import laplace
+from swarmssm.inference.laplace_method import laplace
 from swarmssm.inference.training import num_coordinates, quiet_pyro
 from swarmssm.models import StateSpaceModel, SwarmBatch
 

@@ -27,7 +27,7 @@ from swarmssm.models.graph_vae import GraphVAE
 from swarmssm.models.initial import InitialStates
 from swarmssm.models.markov import MarkovChain, StepInputs
 from swarmssm.models.parameters import assign
-from swarmssm.models.presets.pair_forces import pair_forces
+from swarmssm.models.presets.pair_forces_model import pair_forces
 from swarmssm.models.presets.self_terms import state_space_model
 from swarmssm.models.priors import parameters_of, parse_distribution, with_priors
 from swarmssm.models.registry import MODELS, find_model

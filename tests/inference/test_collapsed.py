@@ -13,11 +13,11 @@ from pyro.infer.autoguide import AutoNormal
 from pyro.optim import ClippedAdam
 
 from swarmssm.errors import InputError
-from swarmssm.inference.collapsed import collapsed
 from swarmssm.inference.collapsed_fit import fit_collapsed
+from swarmssm.inference.collapsed_model import collapsed
 from swarmssm.inference.filtering import collapsed_evidence, linearization_points
 from swarmssm.inference.guides import GlobalGuide, LinearizedGuide
-from swarmssm.inference.laplace import laplace
+from swarmssm.inference.laplace_method import laplace
 from swarmssm.inference.training import quiet_pyro
 from swarmssm.models import (
     InitialStates,

@@ -7,7 +7,7 @@ import torch
 
 from swarmssm.analysis.diagnostics.sbc.simulated import FixedModel, standard_scales
 from swarmssm.inference import fit
-from swarmssm.inference.filtering.kalman import extended_kalman, filtered_at
+from swarmssm.inference.filtering.kalman_filter import extended_kalman, filtered_at
 from swarmssm.inference.guides import LinearizedGuide
 from swarmssm.inference.guides.base import PathGuide
 from swarmssm.inference.prediction.state_space import _stretches

@@ -13,7 +13,7 @@ from swarmssm.errors import InputError
 from swarmssm.inference import Fit, fit
 from swarmssm.inference.agreement import check_agreement
 from swarmssm.inference.bounds import Bound
-from swarmssm.inference.collapsed import collapsed, windows_plate
+from swarmssm.inference.collapsed_model import collapsed, windows_plate
 from swarmssm.inference.guides import (
     LinearizedGuide,
     MarkovGuide,

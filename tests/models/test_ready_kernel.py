@@ -12,7 +12,7 @@ from swarmssm.errors import InputError
 from swarmssm.models import LatentEdges, Scales, SwarmBatch
 from swarmssm.models.parameters import priors_of
 from swarmssm.models.presets import kernel
-from swarmssm.models.presets.kernel import smoothing_prior
+from swarmssm.models.presets.kernel_model import smoothing_prior
 from swarmssm.models.transitions import SplineBasis
 from swarmssm.simulate import simulate_boids
 

@@ -10,7 +10,7 @@ from swarmssm.errors import InputError
 from swarmssm.inference.filtering import extended_kalman
 from swarmssm.models import LatentEdges, Scales, StateSpaceModel, SwarmBatch
 from swarmssm.models.parameters import priors_of
-from swarmssm.models.presets.linear import linear
+from swarmssm.models.presets.linear_model import linear
 
 DOUBLE = torch.float64
 SCALES = Scales(

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from swarmssm.errors import InputError
-from swarmssm.inference.filtering.kalman import Filtered
+from swarmssm.inference.filtering.kalman_filter import Filtered
 from swarmssm.inference.filtering.paths import draw_paths, path_log_density
 from swarmssm.models import StateSpaceModel, SwarmBatch
 

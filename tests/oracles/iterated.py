@@ -7,7 +7,13 @@ import torch
 from torch import Tensor
 
 from swarmssm.inference.filtering.affine import AffineSwarm, Linearizer, Taylor
-from swarmssm.inference.filtering.kalman import Filtered, Smoothed, filter_with, kalman, smooth
+from swarmssm.inference.filtering.kalman_filter import (
+    Filtered,
+    Smoothed,
+    filter_with,
+    kalman,
+    smooth,
+)
 from swarmssm.models import StateSpaceModel, SwarmBatch
 
 __all__ = ["Iterated", "iterated_smoother"]

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from swarmssm.errors import InputError
 from swarmssm.inference.filtering.affine import AffineMap
-from swarmssm.inference.filtering.kalman import Filtered, filter_with
+from swarmssm.inference.filtering.kalman_filter import Filtered, filter_with
 from swarmssm.inference.filtering.matrices import block_diagonal, root
 from swarmssm.models import StateSpaceModel, StepInputs, SwarmBatch
 from swarmssm.models.distributions.moments import covariance_of

@@ -12,7 +12,7 @@ from swarmssm.analysis.diagnostics.checks import check, one_step_pit
 from swarmssm.analysis.interpretation.analyze import analyze
 from swarmssm.analysis.interpretation.result import Analysis
 from swarmssm.analysis.interpretation.summary import formatted_summary
-from swarmssm.analysis.plots.scenes.free_run import with_free_run
+from swarmssm.analysis.plots.scenes.free_runs import with_free_run
 from swarmssm.analysis.report import metadata
 from swarmssm.analysis.report.answer import answer
 from swarmssm.analysis.report.contents import glossary, sections

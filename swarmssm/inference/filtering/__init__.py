@@ -22,7 +22,7 @@ from swarmssm.inference.filtering.evidence import (
     collapsed_evidence,
     linearization_points,
 )
-from swarmssm.inference.filtering.kalman import (
+from swarmssm.inference.filtering.kalman_filter import (
     Filtered,
     Smoothed,
     extended_kalman,

@@ -15,7 +15,7 @@ from swarmssm.inference.filtering.adjoint import (
     filter_chain,
     linearized_evidence,
 )
-from swarmssm.inference.filtering.kalman import extended_kalman, smooth
+from swarmssm.inference.filtering.kalman_filter import extended_kalman, smooth
 from swarmssm.inference.filtering.layouts import (
     JOINT_LIMIT,
     Frames,

@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from swarmssm.inference.filtering.affine import Window
-from swarmssm.inference.filtering.kalman import LOG_2_PI, Filtered, backward, gains_of
+from swarmssm.inference.filtering.kalman_filter import LOG_2_PI, Filtered, backward, gains_of
 from swarmssm.inference.filtering.matrices import cholesky, root
 
 __all__ = ["draw_paths", "path_log_density"]

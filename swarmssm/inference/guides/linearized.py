@@ -8,7 +8,7 @@ from torch.func import vmap
 
 from swarmssm.errors import InputError, WorkError
 from swarmssm.inference.filtering.evidence import ITERATIONS, linearization_points
-from swarmssm.inference.filtering.kalman import (
+from swarmssm.inference.filtering.kalman_filter import (
     Filtered,
     filtered_at,
     kalman,

@@ -17,7 +17,7 @@ from swarmssm.models.presets.self_terms import check_choice
 from swarmssm.models.pyro_modules import adopt
 from swarmssm.models.scales import Scales
 from swarmssm.models.state_space import StateSpaceModel
-from swarmssm.models.transitions.typed import typed
+from swarmssm.models.transitions.typed_forces import typed
 
 __all__ = ["EDGES", "Laws", "with_edges"]
 

@@ -22,7 +22,11 @@ from swarmssm.models.transitions.protocols import (
 )
 from swarmssm.models.transitions.radial_basis import PowerBasis, RadialBasis, SplineBasis
 from swarmssm.models.transitions.soft_limits import SoftSpeedLimits
-from swarmssm.models.transitions.typed import TypedKinematicTransition, TypedTransition, typed
+from swarmssm.models.transitions.typed_forces import (
+    TypedKinematicTransition,
+    TypedTransition,
+    typed,
+)
 
 __all__ = [
     "AngularModulation",

@@ -17,7 +17,7 @@ from swarmssm.models.transitions import (
     TypedTransition,
     typed,
 )
-from swarmssm.models.transitions.typed import displaced
+from swarmssm.models.transitions.typed_forces import displaced
 
 DOUBLE = torch.float64
 

@@ -7,7 +7,7 @@
 
 from swarmssm.analysis.diagnostics.checks.arenas import arena_of
 from swarmssm.analysis.diagnostics.checks.comparison import check
-from swarmssm.analysis.diagnostics.checks.loo_pit import loo_pit
+from swarmssm.analysis.diagnostics.checks.leave_one_out import loo_pit
 from swarmssm.analysis.diagnostics.checks.observables import Axis
 from swarmssm.analysis.diagnostics.checks.pit import ForecastCalibration, one_step_pit
 from swarmssm.analysis.diagnostics.checks.result import PredictiveCheck

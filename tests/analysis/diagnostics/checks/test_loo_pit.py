@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from swarmssm.analysis.diagnostics.checks import loo_pit
-from swarmssm.analysis.diagnostics.checks.loo_pit import weighted_pit
+from swarmssm.analysis.diagnostics.checks.leave_one_out import weighted_pit
 from swarmssm.errors import InputError
 
 

@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.distributions import biject_to
 
 from swarmssm.errors import InputError, WorkError
-from swarmssm.inference.collapsed import population_evidence
+from swarmssm.inference.collapsed_model import population_evidence
 from swarmssm.inference.filtering.evidence import Method, collapsed_evidence, linearization_points
 from swarmssm.inference.filtering.layouts import Layout, Points
 from swarmssm.inference.guides.parameters import GlobalGuide
