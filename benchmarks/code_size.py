@@ -13,6 +13,7 @@ PARTS = {"emission", "edges", "rule", "transition", "guide", "parameters_guide",
 
 
 def sources(folder: str) -> Iterator[tuple[Path, str]]:
+    """Yield path, from the checkout's root, and text of each Python file."""
     for path in sorted((ROOT / folder).rglob("*.py")):
         yield path.relative_to(ROOT), path.read_text(encoding="utf-8")
 
@@ -29,6 +30,7 @@ def part_classes() -> set[str]:
 
 
 def asks_for_none(node: ast.AST) -> bool:
+    """Return whether a comparison asks if a part is None."""
     return (
         isinstance(node, ast.Compare)
         and isinstance(node.ops[0], ast.Is | ast.IsNot)
@@ -40,6 +42,7 @@ def asks_for_none(node: ast.AST) -> bool:
 
 
 def main() -> None:
+    """Print all counts."""
     lines: Counter[str] = Counter()
     counts: Counter[str] = Counter()
     parts = part_classes()
