@@ -1,5 +1,6 @@
 """``swarmssm analyze``: a file, a page, a table; mistakes leave nothing behind."""
 
+import html
 import json
 
 import pytest
@@ -30,7 +31,8 @@ def test_it_writes_data_and_page_and_prints_the_main_numbers(
     assert set(found.datasets) == {"forces", "kernels", "influence"}
     assert found.settings["draws"] == 2
     page = (tmp_path / "a.html").read_text(encoding="utf-8")
-    assert "What graph-vae says of" in page
+    assert "Analysis: graph-vae on" in page
+    assert found.verdict() in html.unescape(page)
 
 
 def test_json_and_options_and_the_name_of_the_page(swarmssm, flock_file, run_folder, tmp_path):

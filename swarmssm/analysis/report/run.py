@@ -16,7 +16,7 @@ from swarmssm.analysis.plots.scenes.free_runs import with_free_run
 from swarmssm.analysis.report import metadata
 from swarmssm.analysis.report.answer import answer
 from swarmssm.analysis.report.contents import glossary, sections
-from swarmssm.analysis.report.page import Block, Note, Page, Player, Section, Table
+from swarmssm.analysis.report.page import Block, Note, Page, Player, Section, Table, Verdict
 from swarmssm.analysis.report.player import player_fragment
 from swarmssm.analysis.scoring.evaluation import Evaluation, evaluate
 from swarmssm.analysis.scoring.table import format_number
@@ -197,7 +197,8 @@ def analysis_page(
     }
     found = sections(results) if analysis.datasets.keys() - {"parameters"} else []
     rows = formatted_summary(analysis.datasets)
-    blocks: list[Block] = [*answer(results), Note(analysis.notes)] if found else []
+    first = Verdict("Verdict", analysis.verdict())
+    blocks: list[Block] = [first, *answer(results), Note(analysis.notes)] if found else []
     if rows:
         blocks.append(Section("Main results", [Table(SUMMARY, pd.DataFrame(rows))], folded=True))
     title = title or f"Analysis: {fit.settings.model} on {_source(tracks)}"
