@@ -9,7 +9,7 @@ from swarmssm.simulate import simulate_boids
 
 
 @pytest.mark.parametrize(
-    ("noise", "model", "options", "knows_true_form"),
+    ("noise", "model", "options", "told"),
     [
         (0.0, "boids", {}, True),
         (0.0, "kernel", {"limits": False}, True),

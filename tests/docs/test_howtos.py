@@ -29,8 +29,8 @@ WITHOUT = (
     "who-acts-on-whom",
     "figures",
 )
-#: Pages without anything to run: what was found in recordings that are not part of the package.
-REPORTS = ("which-rule-each-species-follows",)
+#: Pages without anything to run: findings in recordings that are not part of the package, a map.
+REPORTS = ("which-rule-each-species-follows", "design")
 #: A few steps by gradients in place of Laplace's method, which goes on until it stays.
 BRIEF = 'steps=5, guide_options={"globals": "multivariate"}'
 SHORT = "--steps 5 --guide-option globals=multivariate"

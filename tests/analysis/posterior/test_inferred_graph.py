@@ -97,7 +97,7 @@ def test_everything_can_be_asked_of_it(fit, flock):
     assert set(found.datasets) >= {*asked, "edges"}
     row = found.summary().loc[("edges", "AUC for the nearer half of the pairs")]
     assert row["value"] == float(found.edges["nearness_auc"])
-    assert "How likely an edge is" in analysis_page(found, fit, short)
+    assert "Inferred edges" in analysis_page(found, fit, short).html()
     data = to_inference_data(fit, short, draws=2)
     density = data["log_likelihood"]["position"].to_numpy()
     # Nothing foresees the first frame of exactly observed states.
